@@ -1,0 +1,69 @@
+// A camera, whatever it is connected by. Addresses: "aravis:127.0.0.11", "replay:FOLDER".
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "capture/frame/frame.h"
+#include "capture/frame/result.h"
+
+namespace lightsketch {
+
+struct CameraInfo {
+  std::string address;
+  std::string vendor;
+  std::string model;
+  std::string serial;
+};
+
+// What to ask for; absent fields are left as the camera has them.
+struct CameraSettings {
+  std::optional<PixelFormat> format;
+  std::optional<Region> region;
+  std::optional<double> exposureSeconds;
+  std::optional<double> gainDb;
+  std::optional<double> framesPerSecond;
+};
+
+struct StreamStatistics {
+  std::uint64_t delivered = 0;       // frames handed to the callback
+  std::uint64_t incomplete = 0;      // frames with packets missing; never handed on
+  std::uint64_t lost = 0;            // gaps in the device's frame counter
+  std::uint64_t packetsReceived = 0; // 0 where the link has no packets
+  std::uint64_t packetsMissing = 0;
+  std::uint64_t packetsResent = 0;
+};
+
+using FrameCallback = std::function<void(Frame&&)>;
+// Called once when the camera is lost (unplugged, control lost) or, for a replay, has ended.
+using EndCallback = std::function<void(const Error&)>;
+
+class Camera {
+ public:
+  virtual ~Camera() = default;
+
+  virtual const CameraInfo& info() const = 0;
+  // Returns what the camera really uses now, every field set. May be called while streaming for
+  // exposure and gain.
+  virtual Result<CameraSettings> configure(const CameraSettings& settings) = 0;
+  // Frames come on a thread of the camera's own, in order; the callback must only enqueue.
+  virtual Result<void> start(FrameCallback onFrame, EndCallback onEnd = {}) = 0;
+  // No callback runs after it returns.
+  virtual void stop() = 0;
+  virtual StreamStatistics statistics() const = 0;
+
+  // GenICam features by name, for what only some cameras have.
+  virtual bool hasFeature(const std::string& name) const = 0;
+  virtual Result<void> setFeature(const std::string& name, double value) = 0;
+};
+
+// What is connected; also finds a simulated rig that runs on its default addresses.
+Result<std::vector<CameraInfo>> listCameras();
+// Fails with kNotFound and a message that says what was tried and what is connected.
+Result<std::unique_ptr<Camera>> openCamera(const std::string& address);
+
+}  // namespace lightsketch

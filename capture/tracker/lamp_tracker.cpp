@@ -1,0 +1,1 @@
+#include "capture/tracker/lamp_tracker.h"

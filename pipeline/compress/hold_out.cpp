@@ -1,0 +1,1 @@
+#include "pipeline/compress/hold_out.h"

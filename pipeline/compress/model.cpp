@@ -1,0 +1,1 @@
+#include "pipeline/compress/model.h"

@@ -1,0 +1,24 @@
+// From what a camera sent to linear radiance.
+#pragma once
+
+#include "capture/frame/frame.h"
+#include "capture/frame/image.h"
+#include "capture/frame/result.h"
+
+namespace lightsketch {
+
+struct LineariseOptions {
+  double blackLevel = 0;               // in counts of the frame's format
+  double referenceExposureSeconds = 0; // radiance 1.0 is saturation at this exposure and gain;
+  double referenceGainDb = 0;          // 0 seconds: the frame's own exposure and gain
+};
+
+struct LinearFrame {
+  RadianceImage radiance;        // h x w x 3; mono frames are repeated to RGB
+  double saturatedFraction = 0;  // pixels with a sample at the format's maximum
+};
+
+// Black level, response (linear sensor), demosaic. Thread-safe.
+Result<LinearFrame> linearise(const Frame& frame, const LineariseOptions& options = {});
+
+}  // namespace lightsketch

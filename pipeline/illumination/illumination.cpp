@@ -1,0 +1,1 @@
+#include "pipeline/illumination/illumination.h"

@@ -1,0 +1,1 @@
+#include "pipeline/illumination/light_grid.h"

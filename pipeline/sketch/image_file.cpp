@@ -1,0 +1,1 @@
+#include "pipeline/sketch/image_file.h"

@@ -1,0 +1,35 @@
+// What the rest of the pipeline sees of a sketch: n images of one scene, a light direction each.
+// Ambient light is subtracted and the lamp's scale divided out, so the images add up.
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "pipeline/sketch/sketch.h"
+
+namespace lightsketch {
+
+class LightStack {
+ public:
+  // `ids`: which frames, in this order; none of them dropped. The sketch must outlive the stack.
+  static Result<LightStack> create(const Sketch& sketch, std::vector<int> ids);
+
+  int size() const { return static_cast<int>(ids_.size()); }
+  int width() const { return width_; }
+  int height() const { return height_; }
+  const std::vector<int>& ids() const { return ids_; }
+  const std::vector<Eigen::Vector3d>& directions() const { return directions_; }
+
+  // Linear RGB of image i (an index into ids()), h x w x 3. Thread-safe.
+  Result<RadianceImage> read(int i) const;
+
+ private:
+  const Sketch* sketch_ = nullptr;
+  int width_ = 0;
+  int height_ = 0;
+  std::vector<int> ids_;
+  std::vector<Eigen::Vector3d> directions_;
+  RadianceImage ambient_;  // empty if there is nothing to subtract
+};
+
+}  // namespace lightsketch
