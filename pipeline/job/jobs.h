@@ -1,0 +1,104 @@
+// Every command as a call with options, progress and cancel: what both front ends run. A job checks
+// its options, does the work, leaves whole files or none, and says what came out.
+#pragma once
+
+#include <filesystem>
+#include <functional>
+#include <optional>
+#include <stop_token>
+#include <string>
+#include <vector>
+
+#include "capture/frame/json.h"
+#include "capture/frame/progress.h"
+#include "capture/frame/result.h"
+#include "capture/rig/simulated_rig.h"
+#include "capture/session/recorder.h"
+#include "pipeline/compress/compress.h"
+#include "pipeline/illumination/illumination.h"
+#include "pipeline/sketch/import.h"
+
+namespace lightsketch {
+
+struct JobResult {
+  std::string text;  // for people, some lines
+  Json figures;      // the same and more for programs
+};
+
+// What is connected.
+Result<JobResult> listCamerasJob();
+
+// Runs the simulated rig until `stop`. `onReady` gets the text that says where it is. With
+// `calibrationFolder` the camera model and rig.json that a calibration would have found go there.
+struct RigJob {
+  SimulatedRigOptions rig;
+  std::filesystem::path calibrationFolder;
+};
+Result<JobResult> rigJob(const RigJob& job, const std::function<void(const std::string&)>& onReady,
+                         std::stop_token stop);
+
+// Records a sketch. With neither camera named, the simulated rig is started and recorded.
+struct RecordJob {
+  std::string sceneCamera;
+  std::string sourceCamera;
+  std::filesystem::path cameraModel;
+  std::filesystem::path rigGeometry;  // empty: the source camera stands upright at the subject
+  std::filesystem::path sketch;
+  RecorderOptions recorder;
+  SimulatedRigOptions simulatedRig;
+};
+Result<JobResult> recordJob(const RecordJob& job, Progress& progress, std::stop_token stop,
+                            const std::function<void(const RecorderState&)>& onState = {});
+
+Result<JobResult> importJob(const ImportOptions& job, Progress& progress);
+
+struct ExportJob {
+  std::filesystem::path sketch;
+  std::string format = "lp";
+  std::filesystem::path out;
+};
+Result<JobResult> exportJob(const ExportJob& job, Progress& progress);
+
+struct CompressJob {
+  std::filesystem::path sketch;
+  std::filesystem::path out;
+  CompressOptions options;
+};
+Result<JobResult> compressJob(const CompressJob& job, Progress& progress);
+
+// Exactly one kind of light: lamps, a lights file or an environment map.
+struct RelightJob {
+  std::filesystem::path model;
+  std::vector<DirectionalLamp> lamps;
+  std::filesystem::path lightsFile;
+  std::filesystem::path environment;
+  EnvironmentOptions environmentOptions;
+  double exposure = 1;        // factor before the display transform of a PNG
+  std::filesystem::path out;  // .exr: linear, .png: sRGB
+};
+Result<JobResult> relightJob(const RelightJob& job);
+
+// Without a model, one is made with `compress` (its hold-out rule is replaced by this one) and left
+// in the report's folder.
+struct ValidateJob {
+  std::filesystem::path sketch;
+  std::string holdOutRule;  // empty: the model's, else every:8:4 or (dense sets) cells:8:4
+  std::filesystem::path model;
+  CompressOptions compress;
+  std::filesystem::path environment;  // for the superposition check; empty: a built-in sky
+  std::filesystem::path report;
+};
+Result<JobResult> validateJob(const ValidateJob& job, Progress& progress);
+
+// What a file is: a sketch, a model, a camera model, an image.
+Result<JobResult> infoJob(const std::filesystem::path& file);
+
+// The whole job on the simulated rig: record, compress, relight, validate.
+struct DemoJob {
+  std::filesystem::path out;
+  int directions = 300;
+  SimulatedRigOptions rig;
+};
+Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_token stop);
+
+}  // namespace lightsketch
