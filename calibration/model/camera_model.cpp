@@ -43,9 +43,12 @@ Matrix2d CameraModel::pixelsPerRadian(const Vector3d& direction) const {
     const auto here = project(axis);
     const auto ahead = project(axis + kStep * tangent);
     const auto behind = project(axis - kStep * tangent);
-    if (ahead && behind) jacobian.col(i) = (*ahead - *behind) / (2 * kStep);
-    else if (here && ahead) jacobian.col(i) = (*ahead - *here) / kStep;
-    else if (here && behind) jacobian.col(i) = (*here - *behind) / kStep;
+    if (ahead && behind)
+      jacobian.col(i) = (*ahead - *behind) / (2 * kStep);
+    else if (here && ahead)
+      jacobian.col(i) = (*ahead - *here) / kStep;
+    else if (here && behind)
+      jacobian.col(i) = (*here - *behind) / kStep;
   }
   return jacobian;
 }
@@ -53,7 +56,7 @@ Matrix2d CameraModel::pixelsPerRadian(const Vector3d& direction) const {
 Result<std::shared_ptr<const KannalaBrandtModel>> KannalaBrandtModel::create(
     const KannalaBrandtParameters& parameters) {
   if (parameters.width <= 0 || parameters.height <= 0 || parameters.width > 100'000 ||
-      parameters.height > 100'000 || parameters.fx <= 0 || parameters.fy <= 0) {
+      parameters.height > 100'000 || !(parameters.fx > 0) || !(parameters.fy > 0)) {
     return failure(ErrorCode::kInvalidArgument,
                    "camera model: image size and focal lengths must be positive");
   }
@@ -64,11 +67,20 @@ Result<std::shared_ptr<const KannalaBrandtModel>> KannalaBrandtModel::create(
   }
   std::shared_ptr<const KannalaBrandtModel> model(new KannalaBrandtModel(parameters));
   for (int i = 0; i <= 1000; ++i) {
-    if (model->distortDerivative(limit * i / 1000) <= 0) {
-      return failure(ErrorCode::kInvalidArgument,
-                     "camera model: two angles fall on one pixel at {:.1f} degrees off axis; reduce "
-                     "the valid field",
-                     Angle::radians(limit * i / 1000).degrees());
+    const double theta = limit * i / 1000;
+    bool invertible = model->distortDerivative(theta) > 0;
+    // The tangential terms are affine in n on a circle's Jacobian, so 16 azimuths bound them well.
+    for (int j = 0; j < 16 && invertible; ++j) {
+      const double phi = 2 * std::numbers::pi * j / 16;
+      const Vector2d n = model->distort(theta) * Vector2d(std::cos(phi), std::sin(phi));
+      invertible = tangentialJacobian(n, parameters.p).determinant() > 0;
+    }
+    if (!invertible) {
+      return failure(
+          ErrorCode::kInvalidArgument,
+          "camera model: two angles fall on one pixel at {:.1f} degrees off axis; reduce "
+          "the valid field",
+          Angle::radians(theta).degrees());
     }
   }
   return model;
@@ -90,6 +102,8 @@ std::optional<Vector2d> KannalaBrandtModel::project(const Vector3d& direction) c
   const double radius = std::hypot(direction.x(), direction.y());
   const double theta = std::atan2(radius, direction.z());
   if (!(theta <= parameters_.maxFieldAngle.radians())) return std::nullopt;
+  if (radius == 0 && direction.z() < 0)
+    return std::nullopt;  // straight back: every azimuth at once
   const double scale = radius > 0 ? distort(theta) / radius : 0;
   const Vector2d n = addTangential(scale * direction.head<2>(), parameters_.p);
   return Vector2d(parameters_.fx * n.x() + parameters_.cx, parameters_.fy * n.y() + parameters_.cy);
@@ -130,8 +144,14 @@ std::optional<Vector3d> KannalaBrandtModel::unproject(const Vector2d& pixel) con
 
 Json KannalaBrandtModel::parameters() const {
   const auto& p = parameters_;
-  return {{"width", p.width}, {"height", p.height}, {"fx", p.fx}, {"fy", p.fy},
-          {"cx", p.cx},       {"cy", p.cy},         {"k", p.k},   {"p", p.p},
+  return {{"width", p.width},
+          {"height", p.height},
+          {"fx", p.fx},
+          {"fy", p.fy},
+          {"cx", p.cx},
+          {"cy", p.cy},
+          {"k", p.k},
+          {"p", p.p},
           {"maxFieldAngleDegrees", p.maxFieldAngle.degrees()}};
 }
 
@@ -143,17 +163,15 @@ Json cameraModelToJson(const CameraModel& model) {
 }
 
 Result<std::shared_ptr<const CameraModel>> cameraModelFromJson(const Json& json,
-                                                              std::string_view where) {
+                                                               std::string_view where) {
   RETURN_IF_ERROR(checkFormat(json, kFormat, kFormatVersion, where));
   ASSIGN_OR_RETURN(const auto name, jsonString(json, "model", where));
   if (name != "kannala-brandt") {
     return failure(ErrorCode::kUnsupported, "{}: unknown lens model '{}'; known: kannala-brandt",
                    where, name);
   }
-  if (!json.contains("parameters")) {
-    return failure(ErrorCode::kCorrupt, "{}: field 'parameters' is missing", where);
-  }
-  const Json& values = json["parameters"];
+  ASSIGN_OR_RETURN(const Json* found, jsonMember(json, "parameters", where));
+  const Json& values = *found;
   KannalaBrandtParameters p;
   ASSIGN_OR_RETURN(const auto width, jsonInteger(values, "width", where, 1, 100'000));
   ASSIGN_OR_RETURN(const auto height, jsonInteger(values, "height", where, 1, 100'000));

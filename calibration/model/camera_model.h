@@ -83,7 +83,7 @@ class KannalaBrandtModel final : public CameraModel {
 // "kannala-brandt". Fails with file, field and reason.
 Result<std::shared_ptr<const CameraModel>> loadCameraModel(const std::filesystem::path& path);
 Result<std::shared_ptr<const CameraModel>> cameraModelFromJson(const Json& json,
-                                                              std::string_view where);
+                                                               std::string_view where);
 Json cameraModelToJson(const CameraModel& model);
 Result<void> saveCameraModel(const CameraModel& model, const std::filesystem::path& path);
 

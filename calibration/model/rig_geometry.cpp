@@ -41,13 +41,6 @@ Result<CameraPose> cameraFromJson(const Json& json, std::string_view where) {
   return camera;
 }
 
-Result<const Json*> member(const Json& json, const char* field, std::string_view where) {
-  if (!json.contains(field)) {
-    return failure(ErrorCode::kCorrupt, "{}: field '{}' is missing", where, field);
-  }
-  return &json[field];
-}
-
 }  // namespace
 
 Json rigGeometryToJson(const RigGeometry& rig) {
@@ -65,9 +58,9 @@ Json rigGeometryToJson(const RigGeometry& rig) {
 Result<RigGeometry> rigGeometryFromJson(const Json& json, std::string_view where) {
   RETURN_IF_ERROR(checkFormat(json, kFormat, kFormatVersion, where));
   RigGeometry rig;
-  ASSIGN_OR_RETURN(const Json* scene, member(json, "sceneCamera", where));
+  ASSIGN_OR_RETURN(const Json* scene, jsonMember(json, "sceneCamera", where));
   ASSIGN_OR_RETURN(rig.sceneCamera, cameraFromJson(*scene, where));
-  ASSIGN_OR_RETURN(const Json* sources, member(json, "sourceCameras", where));
+  ASSIGN_OR_RETURN(const Json* sources, jsonMember(json, "sourceCameras", where));
   if (!sources->is_array() || sources->empty()) {
     return failure(ErrorCode::kCorrupt, "{}: field 'sourceCameras' must list at least one camera",
                    where);

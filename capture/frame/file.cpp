@@ -110,9 +110,8 @@ Result<void> writeFileAtomically(const fs::path& path, std::string_view content)
 }
 
 PendingFile::PendingFile(fs::path target) : target_(std::move(target)) {
-  temporary_ = folderOf(target_) /
-               fmt::format(".{}.{}.partial{}", target_.stem().string(), uniqueSuffix(),
-                           target_.extension().string());
+  temporary_ = folderOf(target_) / fmt::format(".{}.{}.partial{}", target_.stem().string(),
+                                               uniqueSuffix(), target_.extension().string());
 }
 
 PendingFile::~PendingFile() {
@@ -131,13 +130,20 @@ Result<void> PendingFile::commit() {
 
 Result<PendingFolder> PendingFolder::create(const fs::path& target) {
   std::error_code error;
-  if (fs::exists(target, error) && !(fs::is_directory(target, error) && fs::is_empty(target, error))) {
+  if (fs::exists(target, error) &&
+      !(fs::is_directory(target, error) && fs::is_empty(target, error))) {
     return failure(ErrorCode::kInvalidArgument,
                    "{}: exists already; choose another name or remove it", target.string());
   }
   // "out/sketch/" names the folder "sketch".
   const fs::path clean = target.has_filename() ? target : target.parent_path();
-  fs::create_directories(folderOf(clean), error);
+  if (clean.empty() || clean.filename() == "." || clean.filename() == "..") {
+    return failure(ErrorCode::kInvalidArgument, "'{}': give the new folder a name of its own",
+                   target.string());
+  }
+  if (fs::create_directories(folderOf(clean), error); error) {
+    return systemFailure(error.value(), "create", folderOf(clean));
+  }
   const fs::path temporary =
       folderOf(clean) / fmt::format(".{}.{}.partial", clean.filename().string(), uniqueSuffix());
   if (::mkdir(temporary.c_str(), 0755) != 0) return systemFailure(errno, "create", target);

@@ -18,11 +18,11 @@ struct Region {
 };
 
 struct FrameMetadata {
-  std::uint64_t id = 0;            // the device's frame counter, unwrapped; gaps are lost frames
-  std::int64_t deviceTimeNs = 0;   // the device's own clock at the start of exposure
-  TimePoint midExposure;           // mapped to the host's clock
-  Duration timeUncertainty{0};     // one sigma of that mapping
-  TimePoint arrival;               // when the last byte was here
+  std::uint64_t id = 0;           // the device's frame counter, unwrapped; gaps are lost frames
+  std::int64_t deviceTimeNs = 0;  // the device's own clock at the start of exposure
+  TimePoint midExposure;          // mapped to the host's clock
+  Duration timeUncertainty{0};    // one sigma of that mapping
+  TimePoint arrival;              // when the last byte was here
   double exposureSeconds = 0;
   double gainDb = 0;
 };

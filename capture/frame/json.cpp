@@ -14,8 +14,10 @@ bool nestsDeeperThan(std::string_view text, int limit) {
   for (std::size_t i = 0; i < text.size(); ++i) {
     const char c = text[i];
     if (inString) {
-      if (c == '\\') ++i;
-      else if (c == '"') inString = false;
+      if (c == '\\')
+        ++i;
+      else if (c == '"')
+        inString = false;
     } else if (c == '"') {
       inString = true;
     } else if (c == '{' || c == '[') {
@@ -25,17 +27,6 @@ bool nestsDeeperThan(std::string_view text, int limit) {
     }
   }
   return false;
-}
-
-Result<const Json*> find(const Json& object, std::string_view field, std::string_view where) {
-  if (!object.is_object()) {
-    return failure(ErrorCode::kCorrupt, "{}: expected an object with field '{}'", where, field);
-  }
-  const auto found = object.find(field);
-  if (found == object.end()) {
-    return failure(ErrorCode::kCorrupt, "{}: field '{}' is missing", where, field);
-  }
-  return &*found;
 }
 
 }  // namespace
@@ -57,11 +48,31 @@ Result<Json> readJsonFile(const std::filesystem::path& path) {
 }
 
 Result<void> writeJsonFile(const std::filesystem::path& path, const Json& value) {
-  return writeFileAtomically(path, value.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
+  return writeFileAtomically(path,
+                             value.dump(2, ' ', false, Json::error_handler_t::replace) + "\n");
+}
+
+Result<const Json*> jsonMember(const Json& object, std::string_view field, std::string_view where) {
+  if (!object.is_object()) {
+    return failure(ErrorCode::kCorrupt, "{}: expected an object with field '{}'", where, field);
+  }
+  const auto found = object.find(field);
+  if (found == object.end()) {
+    return failure(ErrorCode::kCorrupt, "{}: field '{}' is missing", where, field);
+  }
+  return &*found;
+}
+
+Result<bool> jsonBool(const Json& object, std::string_view field, std::string_view where) {
+  ASSIGN_OR_RETURN(const Json* value, jsonMember(object, field, where));
+  if (!value->is_boolean()) {
+    return failure(ErrorCode::kCorrupt, "{}: field '{}' is neither true nor false", where, field);
+  }
+  return value->get<bool>();
 }
 
 Result<double> jsonNumber(const Json& object, std::string_view field, std::string_view where) {
-  ASSIGN_OR_RETURN(const Json* value, find(object, field, where));
+  ASSIGN_OR_RETURN(const Json* value, jsonMember(object, field, where));
   if (!value->is_number() || !std::isfinite(value->get<double>())) {
     return failure(ErrorCode::kCorrupt, "{}: field '{}' is not a number", where, field);
   }
@@ -70,7 +81,7 @@ Result<double> jsonNumber(const Json& object, std::string_view field, std::strin
 
 Result<std::int64_t> jsonInteger(const Json& object, std::string_view field, std::string_view where,
                                  std::int64_t min, std::int64_t max) {
-  ASSIGN_OR_RETURN(const Json* value, find(object, field, where));
+  ASSIGN_OR_RETURN(const Json* value, jsonMember(object, field, where));
   if (!value->is_number_integer()) {
     return failure(ErrorCode::kCorrupt, "{}: field '{}' is not a whole number", where, field);
   }
@@ -84,7 +95,7 @@ Result<std::int64_t> jsonInteger(const Json& object, std::string_view field, std
 }
 
 Result<std::string> jsonString(const Json& object, std::string_view field, std::string_view where) {
-  ASSIGN_OR_RETURN(const Json* value, find(object, field, where));
+  ASSIGN_OR_RETURN(const Json* value, jsonMember(object, field, where));
   if (!value->is_string()) {
     return failure(ErrorCode::kCorrupt, "{}: field '{}' is not a string", where, field);
   }
@@ -93,10 +104,10 @@ Result<std::string> jsonString(const Json& object, std::string_view field, std::
 
 Result<Eigen::VectorXd> jsonVector(const Json& object, std::string_view field, int size,
                                    std::string_view where) {
-  ASSIGN_OR_RETURN(const Json* value, find(object, field, where));
+  ASSIGN_OR_RETURN(const Json* value, jsonMember(object, field, where));
   const auto refuse = [&] {
-    return failure(ErrorCode::kCorrupt, "{}: field '{}' is not an array of {} numbers", where, field,
-                   size);
+    return failure(ErrorCode::kCorrupt, "{}: field '{}' is not an array of {} numbers", where,
+                   field, size);
   };
   if (!value->is_array() || value->size() != static_cast<std::size_t>(size)) return refuse();
   Eigen::VectorXd vector(size);
@@ -122,10 +133,11 @@ Result<int> checkFormat(const Json& object, std::string_view format, int newestV
   }
   ASSIGN_OR_RETURN(const auto version, jsonInteger(object, "formatVersion", where, 1, 1'000'000));
   if (version > newestVersion) {
-    return failure(ErrorCode::kUnsupported,
-                   "{}: written by a newer lightsketch (format version {}, this one reads up to {}); "
-                   "update lightsketch",
-                   where, version, newestVersion);
+    return failure(
+        ErrorCode::kUnsupported,
+        "{}: written by a newer lightsketch (format version {}, this one reads up to {}); "
+        "update lightsketch",
+        where, version, newestVersion);
   }
   return static_cast<int>(version);
 }

@@ -20,6 +20,8 @@ Result<Json> readJsonFile(const std::filesystem::path& path);
 Result<void> writeJsonFile(const std::filesystem::path& path, const Json& value);
 
 // Field access that says file and field when it is absent or of another type.
+Result<const Json*> jsonMember(const Json& object, std::string_view field, std::string_view where);
+Result<bool> jsonBool(const Json& object, std::string_view field, std::string_view where);
 Result<double> jsonNumber(const Json& object, std::string_view field, std::string_view where);
 Result<std::int64_t> jsonInteger(const Json& object, std::string_view field, std::string_view where,
                                  std::int64_t min, std::int64_t max);

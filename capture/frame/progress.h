@@ -15,7 +15,8 @@ class Progress {
   virtual void update(std::string_view stage, std::size_t done, std::size_t total) = 0;
   // A line for the user that should stay on the screen ("line 12: image7.jpg does not exist").
   virtual void warn(std::string_view message) = 0;
-  // Polled by the work; true makes it stop soon with ErrorCode::kCancelled, leaving nothing half made.
+  // Polled by the work; true makes it stop soon with ErrorCode::kCancelled, leaving nothing half
+  // made.
   virtual bool cancelled() const = 0;
 };
 

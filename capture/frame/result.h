@@ -43,14 +43,14 @@ tl::unexpected<Error> failure(ErrorCode code, fmt::format_string<Args...> format
 // ASSIGN_OR_RETURN(const auto model, loadCameraModel(path)): hands an error on to the caller.
 #define ASSIGN_OR_RETURN(declaration, expression) \
   ASSIGN_OR_RETURN_INNER(LIGHTSKETCH_CONCAT(result_, __LINE__), declaration, expression)
-#define ASSIGN_OR_RETURN_INNER(temporary, declaration, expression)           \
-  auto temporary = (expression);                                             \
+#define ASSIGN_OR_RETURN_INNER(temporary, declaration, expression)                           \
+  auto temporary = (expression);                                                             \
   if (!temporary) return tl::unexpected<::lightsketch::Error>(std::move(temporary).error()); \
   declaration = std::move(*temporary)
 
 // RETURN_IF_ERROR(sketch.drop(id, reason)): for a Result<void>.
-#define RETURN_IF_ERROR(expression)                                                         \
-  do {                                                                                      \
-    if (auto status_ = (expression); !status_)                                              \
-      return tl::unexpected<::lightsketch::Error>(std::move(status_).error());              \
+#define RETURN_IF_ERROR(expression)                                            \
+  do {                                                                         \
+    if (auto status_ = (expression); !status_)                                 \
+      return tl::unexpected<::lightsketch::Error>(std::move(status_).error()); \
   } while (false)

@@ -19,11 +19,11 @@ inline float srgbDecode(float encoded) {
   return std::copysign(l, encoded);
 }
 
-// Rounded and clipped to 0..255.
+// Rounded and clipped to 0..255; not a number gives 0.
 inline std::uint8_t srgbEncode8(float linear) {
   const float e = 255.0f * srgbEncode(linear) + 0.5f;
-  return e <= 0.5f ? std::uint8_t{0}
-                   : (e >= 255.0f ? std::uint8_t{255} : static_cast<std::uint8_t>(e));
+  return e > 0.5f ? (e >= 255.0f ? std::uint8_t{255} : static_cast<std::uint8_t>(e))
+                  : std::uint8_t{0};
 }
 
 // Luminance weights of linear Rec. 709 / sRGB primaries, ITU-R BT.709.

@@ -37,22 +37,22 @@ struct LampPixel {
 };
 
 struct FrameRecord {
-  int id = 0;                  // from 0 in journal order; never reused
-  std::string file;            // relative to the sketch, "frames/000123.exr"
-  std::string checksum;        // of that file
-  std::string origin;          // an imported set's file name; empty for recorded frames
+  int id = 0;            // from 0 in journal order; never reused
+  std::string file;      // relative to the sketch, "frames/000123.exr"
+  std::string checksum;  // of that file
+  std::string origin;    // an imported set's file name; empty for recorded frames
   LightDirection light;
   std::vector<LampPixel> lampPixels;
-  std::string calibrationId;   // checksum of the camera model that gave `light`; empty if imported
+  std::string calibrationId;  // checksum of the camera model that gave `light`; empty if imported
   double exposureSeconds = 0;
   double gainDb = 0;
   // Factor per channel by which the lamp was stronger than the reference lamp; consumers divide by
   // it. Never baked into the pixels.
   std::array<double, 3> lampScale{1, 1, 1};
-  double midExposureSeconds = 0;  // since the recording's start
-  double pairingErrorSeconds = 0; // scene frame's time against the source frames used
-  double saturatedFraction = 0;   // of the scene frame's pixels
-  Json gates = Json::object();    // what each gate measured
+  double midExposureSeconds = 0;   // since the recording's start
+  double pairingErrorSeconds = 0;  // scene frame's time against the source frames used
+  double saturatedFraction = 0;    // of the scene frame's pixels
+  Json gates = Json::object();     // what each gate measured
   bool dropped = false;
   std::string dropReason;
 };
@@ -60,11 +60,11 @@ struct FrameRecord {
 struct SketchManifest {
   int width = 0;
   int height = 0;
-  int directions = 0;            // nodes of the direction grid aimed at; 0 for imported sets
-  bool fullSphere = false;       // else the hemisphere z >= 0
-  bool ambientSubtracted = false;// recorded frames already are without the ambient light
-  std::string software;          // name and version
-  Json cameras = Json::array();  // {"role", "address", "model", "serial"}
+  int directions = 0;              // nodes of the direction grid aimed at; 0 for imported sets
+  bool fullSphere = false;         // else the hemisphere z >= 0
+  bool ambientSubtracted = false;  // recorded frames already are without the ambient light
+  std::string software;            // name and version
+  Json cameras = Json::array();    // {"role", "address", "model", "serial"}
   Json provenance = Json::object();
 };
 
@@ -92,8 +92,8 @@ class Sketch {
   // Indices of frames that are not dropped.
   std::vector<int> activeFrames() const;
 
-  // Not thread-safe; one thread records. `record`'s id, file and checksum are filled in. Returns the
-  // id once the frame is durable.
+  // Not thread-safe; one thread records. `record`'s id, file and checksum are filled in. Returns
+  // the id once the frame is durable.
   Result<int> append(FrameRecord record, const RadianceImage& radiance);
   // The same in bulk without a sync per frame; sync() makes all of them durable. For imports into a
   // folder that nobody sees before it is whole.
