@@ -15,8 +15,8 @@ namespace lightsketch {
 struct InterpolationSettings {
   enum class Kernel { kThinPlate, kLinear, kCubic };  // of the chord distance d: d^2 log d, d, d^3
   Kernel kernel = Kernel::kThinPlate;
-  int trendDegree = 1;      // polynomial in (x, y, z) restricted to the sphere: 0 to 3
-  double nugget = 1e-4;     // smoothing on the kernel's diagonal
+  int trendDegree = 1;   // polynomial in (x, y, z) restricted to the sphere: 0 to 3
+  double nugget = 1e-4;  // smoothing on the kernel's diagonal
   // Outside the lights' hull, the query is moved towards the hull by this fraction of its distance
   // (1: clamped to the hull).
   double outsideClamp = 0;
@@ -34,6 +34,8 @@ class DirectionInterpolator {
   Eigen::VectorXd weights(const Eigen::Vector3d& direction) const;
   // Whether the direction lies inside the lights' convex hull on the sphere.
   bool insideHull(const Eigen::Vector3d& direction) const;
+  int lightCount() const;
+  // As used: with the trend lowered where the lights did not determine it.
   const InterpolationSettings& settings() const;
 
  private:

@@ -10,6 +10,7 @@
 #include "capture/frame/image.h"
 #include "capture/frame/result.h"
 #include "pipeline/illumination/direction_interpolation.h"
+#include "pipeline/illumination/light_grid.h"
 
 namespace lightsketch {
 
@@ -28,18 +29,19 @@ Result<std::vector<DirectionalLamp>> readLights(const std::filesystem::path& pat
 LightIntensities intensitiesOf(std::span<const DirectionalLamp> lamps,
                                const DirectionInterpolator& interpolator);
 
-// Radiance of a lat-long map in a direction (OpenEXR convention: centre of the picture +z, a quarter
-// from the left +x, top +y), bilinear.
+// Radiance of a lat-long map in a direction (OpenEXR convention: centre of the picture +z, a
+// quarter from the left +x, top +y), bilinear.
 Eigen::Vector3f environmentRadiance(const RadianceImage& latLong, const Eigen::Vector3d& direction);
 
-// Radiance integrated over each light's Voronoi cell (see voronoiSolidAngles with the same
-// options): s_i = sum over the cell of L(w) dw / lampIrradiance. `lampIrradiance` is the irradiance,
-// in the map's units, that the captured lamp puts on a surface facing it; pi by default, so that a
-// white matte surface under the lamp has radiance 1. A constant map of radiance 1 with
-// lampIrradiance 1 gives the cells' solid angles.
+// Radiance integrated over each light's Voronoi cell (LightCells with the same
+// options): s_i = sum over the cell of L(w) dw / lampIrradiance. `lampIrradiance` is the
+// irradiance, in the map's units, that the captured lamp puts on a surface facing it; pi by
+// default, so that a white matte surface under the lamp has radiance 1. A constant map of radiance
+// 1 with lampIrradiance 1 gives the cells' solid angles.
 struct EnvironmentOptions {
   double lampIrradiance = 3.14159265358979323846;
-  double rotationDegrees = 0;  // turns the map about +y
+  double rotationDegrees = 0;  // turns the map about +y, from +z towards +x
+  CellOptions cells = {};
 };
 Result<LightIntensities> intensitiesOf(const RadianceImage& latLong,
                                        std::span<const Eigen::Vector3d> lights,
