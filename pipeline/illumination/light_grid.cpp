@@ -165,8 +165,8 @@ class Cell {
   std::vector<Vector2d> polygon_;
 };
 
-// 1.75 times the distance within which nine in ten points of the lights' hull find a
-// light: 0.9 spacings of a regular grid, which fills the gaps between lights, those at a grid's rim
+// Twice the distance within which nine in ten points of the lights' hull find a
+// light: one spacing of a regular grid, which fills the gaps between lights, those at a grid's rim
 // (0.71 spacings) included, and adds a rim.
 double reachFromSpacing(std::span<const Vector3d> lights, const NearestDirection& nearest) {
   const SphericalHull hull(lights);
@@ -180,7 +180,7 @@ double reachFromSpacing(std::span<const Vector3d> lights, const NearestDirection
   if (distances.size() < 8) return kLoneReach;
   const auto rank = distances.begin() + static_cast<std::ptrdiff_t>(distances.size() * 9 / 10);
   std::nth_element(distances.begin(), rank, distances.end());
-  return 1.75 * *rank;
+  return 2 * *rank;
 }
 
 }  // namespace
