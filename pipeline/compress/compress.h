@@ -1,0 +1,78 @@
+// From a sketch to a relightable model: densify where captures are sparse, then factor in two
+// stages.
+#pragma once
+
+#include <cstddef>
+#include <cstdint>
+#include <filesystem>
+#include <string>
+
+#include "capture/frame/progress.h"
+#include "capture/frame/result.h"
+#include "pipeline/compress/model.h"
+#include "pipeline/sketch/sketch.h"
+
+namespace lightsketch {
+
+struct CompressOptions {
+  int blockSize = 16;  // S, 2 to 64
+  int blockRank = 10;  // b; 0, or more than there are pixels in a block: full
+  int rank = 200;      // q; 0, or more than there can be: full
+  Storage storage = Storage::kFloat16;
+  std::string holdOutRule;  // see applyHoldOut
+  // Nodes of the hemispherical direction grid that the captured lights are densified to (those out
+  // of reach of every captured light are left out).
+  static constexpr int kDensifyAuto = -1;  // by the number of captures
+  static constexpr int kDensifyOff = 0;    // the model's lights are the captured ones
+  int densify = kDensifyAuto;
+  // For the strips of images being worked on. Stage 2 needs 3n floats per row of E and U besides.
+  std::size_t memoryLimitBytes = 1'500'000'000;
+  // Where the decoded images (6 bytes a pixel) wait; nothing is left there. Empty: the system's
+  // temporary folder.
+  std::filesystem::path scratchFolder;
+
+  Result<void> validate() const;
+};
+
+struct CompressSummary {
+  int captures = 0;  // frames the model was made from
+  int heldOut = 0;
+  int lights = 0;  // n of the model
+  bool densified = false;
+  std::string capturesInterpolation;  // how, chosen by leave-one-out; empty if not densified
+  int blocks = 0;                     // m
+  int pixelsPerBlock = 0;             // p
+  std::int64_t rows = 0;              // sum of b_j
+  int rank = 0;                       // q
+  bool exactSecondStage = false;      // else randomised
+  // Fractions of the sum of squares that are kept.
+  double stage1Energy = 0;
+  double stage2Energy = 0;
+  // The paper's compression ratios, values against values (equations 4 and 5): after the first
+  // stage and after both.
+  double ratioStage1 = 0;
+  double ratio = 0;
+  std::uint64_t capturedBytes = 0;  // the frames as half floats
+  std::uint64_t modelBytes = 0;     // E, U and V as stored, before the file's lossless compression
+  double readSeconds = 0;
+  double stage1Seconds = 0;
+  double stage2Seconds = 0;
+
+  std::string describe() const;  // some lines for people
+  Json toJson() const;
+};
+
+struct CompressResult {
+  RelightableModel model;
+  CompressSummary summary;
+};
+
+// Uses all cores; the result depends on nothing but its input. Fails with kCancelled if `progress`
+// says so, with kIo if the scratch folder is full.
+Result<CompressResult> compress(const Sketch& sketch, const CompressOptions& options,
+                                Progress& progress);
+
+// Predicts pictures of this model under directions between its lights.
+Result<DirectionInterpolator> interpolatorFor(const RelightableModel& model);
+
+}  // namespace lightsketch
