@@ -14,14 +14,14 @@
 namespace lightsketch {
 
 struct LampObservation {
-  TimePoint time;                        // mid-exposure
-  Eigen::Vector2d pixel;                 // sub-pixel centroid
-  Eigen::Matrix2d covariance;            // pixels^2, one sigma
-  double spreadPixels = 0;               // rms radius of the blob
-  double flux = 0;                       // sum of the blob above background, in units of saturation
-  double confidence = 0;                 // 0..1
-  Eigen::Vector3d directionInSource;     // unit, source camera frame, from the camera to the lamp
-  Eigen::Matrix3d directionCovariance;   // rank 2, radians^2
+  TimePoint time;                       // mid-exposure
+  Eigen::Vector2d pixel;                // sub-pixel centroid
+  Eigen::Matrix2d covariance;           // pixels^2, one sigma
+  double spreadPixels = 0;              // rms radius of the blob
+  double flux = 0;                      // sum of the blob above background, in units of saturation
+  double confidence = 0;                // 0..1
+  Eigen::Vector3d directionInSource;    // unit, source camera frame, from the camera to the lamp
+  Eigen::Matrix3d directionCovariance;  // rank 2, radians^2
 };
 
 enum class TrackState {
@@ -42,20 +42,24 @@ struct LampTrackerOptions {
   // plane through the camera: n . direction >= minimum. Default: no restriction.
   Eigen::Vector3d allowedNormal = Eigen::Vector3d::Zero();
   double allowedMinimum = -1;
+  double blackLevel = 0;  // counts of the frames' format
   std::size_t trailLength = 4096;
 };
 
-// One source camera's tracker. Not thread-safe: one thread feeds it.
+// One source camera's tracker. Rather reports nothing than a reflection: see README.md for the
+// tests that a bright spot must pass. Not thread-safe: one thread feeds it.
 class LampTracker {
  public:
   LampTracker(std::shared_ptr<const CameraModel> model, LampTrackerOptions options = {});
   ~LampTracker();
   LampTracker(LampTracker&&) noexcept;
+  LampTracker& operator=(LampTracker&&) noexcept;
 
-  // Frames without the lamp teach the static lights (ceiling lamps, windows). At least a few are
-  // needed before track().
+  // Frames without the lamp teach the static lights (ceiling lamps, windows); the last 16 count,
+  // and a lamp that moves through a minority of them is taken out. Without any, track() learns from
+  // its own first frames.
   Result<void> learnBackground(const Frame& frame);
-  // Frames in time order. Fails only for a frame of another shape than the model's.
+  // Frames in time order. Fails only for a frame of another shape than the model's, or in colour.
   Result<TrackResult> track(const Frame& frame);
 
   const std::deque<LampObservation>& trail() const;

@@ -1,0 +1,32 @@
+// Bright spots that the background does not explain.
+#pragma once
+
+#include <Eigen/Core>
+#include <vector>
+
+#include "capture/frame/frame.h"
+#include "capture/tracker/background.h"
+
+namespace lightsketch {
+
+struct Blob {
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();               // centroid
+  Eigen::Matrix2d moments = Eigen::Matrix2d::Zero();             // second moments, pixels^2
+  Eigen::Matrix2d centroidCovariance = Eigen::Matrix2d::Zero();  // from pixel noise
+  Region box;       // of the pixels above the threshold
+  Region window;    // what was measured: the box and its surroundings
+  double area = 0;  // pixels above the threshold
+  double flux = 0;  // sum above background and surroundings, units of saturation
+  // The part of it in pixels below a quarter of the full scale: two lights with saturated cores of
+  // one size, a lamp and its image in a glass, differ here.
+  double halo = 0;
+  double staticFraction = 0;  // pixels of the window on static lights, relative to the area
+  bool cut = false;           // by the picture's border
+  bool crowded = false;       // another blob lies in its window
+};
+
+// The strongest blobs, brightest first, at most eight. The threshold is a third of the brightest
+// difference, within limits from the noise and the full scale.
+std::vector<Blob> findBlobs(const Image<std::uint16_t>& counts, const Background& background);
+
+}  // namespace lightsketch
