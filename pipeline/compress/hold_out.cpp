@@ -38,7 +38,8 @@ std::optional<Modulus> modulus(std::string_view text) {
 }
 
 // Whole cells of a grid with about eight frames each. A frame closer to a held-out cell than half
-// its spacing belongs to the margin: it would be a near twin of a held-out one.
+// the frames' own distance (a sixth of the cells') belongs to the margin: it would be a near twin
+// of a held-out one.
 void splitByCells(const Sketch& sketch, const std::vector<int>& active, Modulus rule,
                   HoldOut& result) {
   const int nodes = std::clamp(static_cast<int>(active.size()) / 8, 64, 10000);
@@ -50,7 +51,7 @@ void splitByCells(const Sketch& sketch, const std::vector<int>& active, Modulus 
           ? LightGrid::Domain::kSphere
           : LightGrid::Domain::kHemisphere;
   const auto grid = LightGrid::create(nodes, domain);
-  const double chord = grid->spacing().radians() / 2;
+  const double chord = grid->spacing().radians() / 6;
   for (const int id : active) {
     const Eigen::Vector3d& direction =
         sketch.frames()[static_cast<std::size_t>(id)].light.direction;
