@@ -60,6 +60,11 @@ Result<std::shared_ptr<const KannalaBrandtModel>> KannalaBrandtModel::create(
     return failure(ErrorCode::kInvalidArgument,
                    "camera model: image size and focal lengths must be positive");
   }
+  if (!std::isfinite(parameters.fx * parameters.fy) ||
+      !std::isfinite(parameters.cx + parameters.cy)) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "camera model: focal lengths and principal point must be finite");
+  }
   const double limit = parameters.maxFieldAngle.radians();
   if (!(limit > 0 && limit <= std::numbers::pi)) {
     return failure(ErrorCode::kInvalidArgument,
@@ -69,7 +74,8 @@ Result<std::shared_ptr<const KannalaBrandtModel>> KannalaBrandtModel::create(
   for (int i = 0; i <= 1000; ++i) {
     const double theta = limit * i / 1000;
     bool invertible = model->distortDerivative(theta) > 0;
-    // The tangential terms are affine in n on a circle's Jacobian, so 16 azimuths bound them well.
+    // Around a circle the determinant is a trigonometric polynomial of degree 2: 16 azimuths find
+    // where it is least.
     for (int j = 0; j < 16 && invertible; ++j) {
       const double phi = 2 * std::numbers::pi * j / 16;
       const Vector2d n = model->distort(theta) * Vector2d(std::cos(phi), std::sin(phi));
@@ -123,6 +129,7 @@ std::optional<Vector3d> KannalaBrandtModel::unproject(const Vector2d& pixel) con
     n -= step;
     if (step.norm() < 1e-14) break;
   }
+  if (!((addTangential(n, parameters_.p) - target).norm() < 1e-10)) return std::nullopt;
   const double limit = parameters_.maxFieldAngle.radians();
   const double d = n.norm();
   if (!(d <= distort(limit) * (1 + 1e-12))) return std::nullopt;

@@ -356,7 +356,9 @@ struct Replay {
 };
 
 // Replays whole lines; returns how many bytes of `text` they take. Only the last line may be torn:
-// it was being written when the program or the machine stopped, so nobody was told it is safe.
+// it was being written when the program or the machine stopped, so nobody was told it is safe. A
+// kill leaves its beginning, a power cut also zeros in place of some of it. A last line that is
+// whole but wrong is damage like any other: it may have been acknowledged.
 Result<std::size_t> replayJournal(std::string_view text, const fs::path& path, Replay& replay) {
   std::size_t position = 0;
   for (std::size_t number = 1; position < text.size(); ++number) {
@@ -365,7 +367,7 @@ Result<std::size_t> replayJournal(std::string_view text, const fs::path& path, R
     const std::string_view line = text.substr(position, newline - position);
     const std::string where = fmt::format("{}: line {}", path.string(), number);
     if (!sealHolds(line)) {
-      if (newline + 1 == text.size()) break;
+      if (newline + 1 == text.size() && line.find('\0') != line.npos) break;
       return failure(ErrorCode::kCorrupt,
                      "{}: damaged (its checksum does not fit); restore the file from a copy",
                      where);
