@@ -1,4 +1,7 @@
-// A camera, whatever it is connected by. Addresses: "aravis:127.0.0.11", "replay:FOLDER".
+// A camera, whatever it is connected by. Addresses:
+//   aravis:127.0.0.11       a GigE Vision camera by its IPv4 address, or any name Aravis knows
+//   replay:FOLDER           a stream kept by ReplayWriter, at the speed it was recorded
+//   replay:FOLDER?rate=2    twice as fast; rate=0: as fast as the consumer takes it
 #pragma once
 
 #include <cstdint>
@@ -30,16 +33,20 @@ struct CameraSettings {
 };
 
 struct StreamStatistics {
-  std::uint64_t delivered = 0;       // frames handed to the callback
-  std::uint64_t incomplete = 0;      // frames with packets missing; never handed on
-  std::uint64_t lost = 0;            // gaps in the device's frame counter
-  std::uint64_t packetsReceived = 0; // 0 where the link has no packets
+  std::uint64_t delivered = 0;   // frames handed to the callback
+  std::uint64_t incomplete = 0;  // frames with packets missing or of a wrong shape; not handed on
+  std::uint64_t skipped = 0;     // whole frames not handed on: the warm-up frame, and those whose
+                                 // exposure is in doubt because it was just being changed
+  std::uint64_t lost = 0;        // gaps in the device's frame counter
+  std::uint64_t underruns = 0;   // frames for which no buffer was free; part of `lost`
+  std::uint64_t packetsReceived = 0;  // 0 where the link has no packets
   std::uint64_t packetsMissing = 0;
   std::uint64_t packetsResent = 0;
 };
 
 using FrameCallback = std::function<void(Frame&&)>;
-// Called once when the camera is lost (unplugged, control lost) or, for a replay, has ended.
+// Called once when the camera is lost (kDevice: unplugged, control lost) or when a replay has ended
+// (kCancelled) or cannot go on (what is wrong with its files). Neither callback may call stop().
 using EndCallback = std::function<void(const Error&)>;
 
 class Camera {
@@ -48,11 +55,13 @@ class Camera {
 
   virtual const CameraInfo& info() const = 0;
   // Returns what the camera really uses now, every field set. May be called while streaming for
-  // exposure and gain.
+  // exposure and gain: frames exposed before carry the old values, frames in doubt are skipped.
+  // Fails with kInvalidArgument and the limits if the camera cannot do it. A replay is what it is:
+  // it returns its recording's values, whatever was asked.
   virtual Result<CameraSettings> configure(const CameraSettings& settings) = 0;
   // Frames come on a thread of the camera's own, in order; the callback must only enqueue.
   virtual Result<void> start(FrameCallback onFrame, EndCallback onEnd = {}) = 0;
-  // No callback runs after it returns.
+  // No callback runs after it returns. Bounded in time, also for a camera that is gone.
   virtual void stop() = 0;
   virtual StreamStatistics statistics() const = 0;
 

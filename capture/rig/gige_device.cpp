@@ -1,1 +1,710 @@
 #include "capture/rig/gige_device.h"
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <atomic>
+#include <bit>
+#include <cerrno>
+#include <cmath>
+#include <condition_variable>
+#include <cstring>
+#include <deque>
+#include <mutex>
+#include <optional>
+#include <random>
+#include <span>
+#include <stop_token>
+#include <thread>
+#include <utility>
+
+#include "capture/frame/file.h"
+#include "capture/rig/genicam_xml.h"
+
+namespace lightsketch {
+namespace {
+
+using Bytes = std::vector<std::uint8_t>;
+using View = std::span<const std::uint8_t>;
+
+// GVCP commands and status codes, GigE Vision 1.2, sections 16 to 19.
+constexpr std::uint16_t kDiscovery = 0x0002;
+constexpr std::uint16_t kPacketResend = 0x0040;
+constexpr std::uint16_t kReadRegister = 0x0080;
+constexpr std::uint16_t kWriteRegister = 0x0082;
+constexpr std::uint16_t kReadMemory = 0x0084;
+constexpr std::uint16_t kWriteMemory = 0x0086;
+
+enum Status : std::uint16_t {
+  kSuccess = 0x0000,
+  kNotImplemented = 0x8001,
+  kInvalidParameter = 0x8002,
+  kInvalidAddress = 0x8003,
+  kWriteProtect = 0x8004,
+  kBadAlignment = 0x8005,
+  kAccessDenied = 0x8006,
+  kBusy = 0x8007,
+  kPacketUnavailable = 0x800c,
+};
+
+constexpr std::size_t kGvcpHeader = 8;
+constexpr std::size_t kMaxGvcpPayload = 540;
+constexpr std::size_t kGvspHeader = 8;
+constexpr std::uint32_t kPacketOverhead = 20 + 8 + kGvspHeader;  // IP, UDP, GVSP
+constexpr std::size_t kCachedFrames = 4;
+constexpr auto kBurstPause = std::chrono::microseconds(500);
+constexpr int kPollMilliseconds = 50;  // how long the destructor may wait for the control thread
+
+std::uint16_t get16(View bytes, std::size_t at) {
+  return static_cast<std::uint16_t>(bytes[at] << 8 | bytes[at + 1]);
+}
+std::uint32_t get32(View bytes, std::size_t at) {
+  return static_cast<std::uint32_t>(get16(bytes, at)) << 16 | get16(bytes, at + 2);
+}
+void put16(Bytes& bytes, std::size_t at, std::uint32_t value) {
+  bytes[at] = static_cast<std::uint8_t>(value >> 8);
+  bytes[at + 1] = static_cast<std::uint8_t>(value);
+}
+void put32(Bytes& bytes, std::size_t at, std::uint32_t value) {
+  put16(bytes, at, value >> 16);
+  put16(bytes, at + 2, value);
+}
+double getDouble(View bytes, std::size_t at) {
+  return std::bit_cast<double>(std::uint64_t{get32(bytes, at)} << 32 | get32(bytes, at + 4));
+}
+void putDouble(Bytes& bytes, std::size_t at, double value) {
+  const auto bits = std::bit_cast<std::uint64_t>(value);
+  put32(bytes, at, static_cast<std::uint32_t>(bits >> 32));
+  put32(bytes, at + 4, static_cast<std::uint32_t>(bits));
+}
+void putText(Bytes& bytes, std::size_t at, std::size_t size, std::string_view text) {
+  std::copy_n(text.begin(), std::min(text.size(), size - 1),
+              bytes.begin() + static_cast<std::ptrdiff_t>(at));
+}
+
+class Socket {
+ public:
+  Socket() : fd_(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {}
+  ~Socket() {
+    if (fd_ >= 0) ::close(fd_);
+  }
+  Socket(const Socket&) = delete;
+  Socket& operator=(const Socket&) = delete;
+  int fd() const { return fd_; }
+
+ private:
+  int fd_;
+};
+
+sockaddr_in makeAddress(std::uint32_t ip, std::uint16_t port) {
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(ip);
+  address.sin_port = htons(port);
+  return address;
+}
+bool sameHost(const sockaddr_in& a, const sockaddr_in& b) {
+  return a.sin_addr.s_addr == b.sin_addr.s_addr;
+}
+bool sameSender(const sockaddr_in& a, const sockaddr_in& b) {
+  return sameHost(a, b) && a.sin_port == b.sin_port;
+}
+void sendTo(const Socket& socket, const Bytes& packet, const sockaddr_in& to) {
+  // A datagram that cannot be sent is a lost one, which the protocol is made for.
+  (void)::sendto(socket.fd(), packet.data(), packet.size(), 0,
+                 reinterpret_cast<const sockaddr*>(&to), sizeof to);
+}
+
+// A frame as it goes over the wire; kept a while for resends.
+struct SentFrame {
+  std::uint16_t id = 0;
+  std::uint64_t timestamp = 0;
+  ExposureRequest request;
+  Bytes image;
+  std::size_t bytesPerPacket = 0;
+  sockaddr_in destination{};
+
+  std::uint32_t packetCount() const {  // leader, data, trailer
+    return 2 + static_cast<std::uint32_t>((image.size() + bytesPerPacket - 1) / bytesPerPacket);
+  }
+
+  // GVSP packet (GigE Vision 1.2, section 23): status, block id, format and packet id, content.
+  void packet(std::uint32_t index, Status status, Bytes& out) const {
+    enum : std::uint32_t { kLeader = 1, kTrailer = 2, kData = 3 };
+    constexpr std::uint32_t kImagePayload = 1;
+    std::uint32_t kind = kData;
+    out.assign(kGvspHeader, 0);
+    if (status != kSuccess) {
+      // A refusal carries the header alone.
+    } else if (index == 0) {
+      kind = kLeader;
+      out.resize(kGvspHeader + 36, 0);
+      put16(out, 10, kImagePayload);
+      put32(out, 12, static_cast<std::uint32_t>(timestamp >> 32));
+      put32(out, 16, static_cast<std::uint32_t>(timestamp));
+      put32(out, 20, pixelFormatInfo(request.format).pfncCode);
+      put32(out, 24, static_cast<std::uint32_t>(request.region.width));
+      put32(out, 28, static_cast<std::uint32_t>(request.region.height));
+      put32(out, 32, static_cast<std::uint32_t>(request.region.x));
+      put32(out, 36, static_cast<std::uint32_t>(request.region.y));
+    } else if (index + 1 == packetCount()) {
+      kind = kTrailer;
+      out.resize(kGvspHeader + 8, 0);
+      put16(out, 10, kImagePayload);
+      put32(out, 12, static_cast<std::uint32_t>(request.region.height));
+    } else {
+      const std::size_t begin = (index - 1) * bytesPerPacket;
+      const std::size_t end = std::min(begin + bytesPerPacket, image.size());
+      out.insert(out.end(), image.begin() + static_cast<std::ptrdiff_t>(begin),
+                 image.begin() + static_cast<std::ptrdiff_t>(end));
+    }
+    put16(out, 0, status);
+    put16(out, 2, id);
+    put32(out, 4, kind << 24 | index);
+  }
+};
+
+// What the frame thread needs to know to expose one frame.
+struct Snapshot {
+  ExposureRequest request;
+  std::uint16_t id = 0;
+  std::uint64_t acquisition = 0;
+  std::size_t bytesPerPacket = 0;
+  sockaddr_in destination{};
+};
+
+}  // namespace
+
+struct GigeDevice::State {
+  State(FrameSource& frameSource, GigeDeviceOptions deviceOptions, TimePoint zero)
+      : source(frameSource),
+        options(std::move(deviceOptions)),
+        startTime(zero),
+        random(options.seed) {}
+
+  Result<void> open();
+  void run() {
+    control = std::jthread([this](std::stop_token stop) { controlLoop(stop); });
+    frames = std::jthread([this](std::stop_token stop) { frameLoop(stop); });
+  }
+
+  // Control thread.
+  void controlLoop(std::stop_token stop);
+  void handle(View packet, const sockaddr_in& from);
+  Status readMemory(std::uint32_t address, std::size_t size, Bytes& out) const;
+  Status write(std::uint32_t address, View value, const sockaddr_in& from);
+  void resend(View payload, const sockaddr_in& from);
+  void afterWrite(std::uint32_t address, const sockaddr_in& from);
+  void releaseControl();
+  bool acceptable(View registersToBe) const;
+
+  // Frame thread.
+  void frameLoop(std::stop_token stop);
+  bool streaming() const {
+    return controller && get32(registers, gige::kAcquisition) == 1 &&
+           get32(registers, gige::kStreamPort) != 0;
+  }
+  Snapshot snapshot();
+  void exposeAndSend(Snapshot shot, TimePoint exposureStart, std::stop_token stop);
+  void send(std::shared_ptr<const SentFrame> frame, std::stop_token stop);
+
+  std::uint64_t deviceClock(TimePoint time) const;
+  sockaddr_in streamDestination() const {
+    return makeAddress(get32(registers, gige::kStreamAddress),
+                       static_cast<std::uint16_t>(get32(registers, gige::kStreamPort)));
+  }
+  Duration framePeriod() const { return fromSeconds(1.0 / getDouble(registers, gige::kFrameRate)); }
+
+  FrameSource& source;
+  const GigeDeviceOptions options;
+  const TimePoint startTime;
+  std::vector<PixelFormat> formats;
+  std::string xml;
+  Socket gvcp;
+  Socket gvsp;
+
+  mutable std::mutex mutex;  // Guards the following.
+  std::condition_variable_any changed;
+  Bytes registers = Bytes(gige::kRegistersEnd, 0);
+  std::optional<sockaddr_in> controller;
+  TimePoint lastHeartbeat;
+  std::uint64_t acquisition = 0;  // counts starts and stops: a frame of an older one is not sent
+  std::optional<Guide> pendingGuide;
+
+  std::mutex cacheMutex;  // Guards cache.
+  std::deque<std::shared_ptr<const SentFrame>> cache;
+
+  // The frame thread's own.
+  std::mt19937 random;
+  std::uint64_t frameIndex = 0;
+  std::uint16_t nextId = 1;
+
+  std::atomic<std::uint64_t> sent = 0;
+  std::jthread control;  // last: both end before anything else does
+  std::jthread frames;
+};
+
+Result<void> GigeDevice::State::open() {
+  in_addr parsed{};
+  if (::inet_pton(AF_INET, options.address.c_str(), &parsed) != 1) {
+    return failure(ErrorCode::kInvalidArgument, "simulated camera: '{}' is not an IPv4 address",
+                   options.address);
+  }
+  const std::uint32_t ip = ntohl(parsed.s_addr);
+  const auto width = static_cast<std::uint32_t>(source.sensorWidth());
+  const auto height = static_cast<std::uint32_t>(source.sensorHeight());
+  formats = source.formats();
+  const double exposureUs = options.defaultExposureSeconds * 1e6;
+  if (formats.empty() || options.firstFrameId == 0 || options.packetsPerBurst < 1 ||
+      options.controlPort < 1 || options.controlPort > 65535) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "simulated camera {}: needs a pixel format, a first frame id and a burst of at "
+                   "least 1, and a port",
+                   options.address);
+  }
+
+  for (const auto& [socket, port] : {std::pair<const Socket*, int>{&gvcp, options.controlPort},
+                                     std::pair<const Socket*, int>{&gvsp, 0}}) {
+    const sockaddr_in own = makeAddress(ip, static_cast<std::uint16_t>(port));
+    if (socket->fd() < 0 ||
+        ::bind(socket->fd(), reinterpret_cast<const sockaddr*>(&own), sizeof own) != 0) {
+      const int error = errno;
+      if (error == EADDRINUSE) {
+        return failure(ErrorCode::kDevice,
+                       "simulated camera: {}:{} is in use, perhaps by another simulated rig; stop "
+                       "it or choose another address",
+                       options.address, port);
+      }
+      return failure(ErrorCode::kDevice,
+                     "simulated camera: cannot listen on {}:{}: {}; choose an address of this "
+                     "machine, such as 127.0.0.11",
+                     options.address, port, systemMessage(error));
+    }
+  }
+  sockaddr_in streamAddress{};
+  socklen_t length = sizeof streamAddress;
+  ::getsockname(gvsp.fd(), reinterpret_cast<sockaddr*>(&streamAddress), &length);
+
+  // Bootstrap registers.
+  xml = gige::genicamXml(formats);
+  Bytes& r = registers;
+  put32(r, gige::kVersion, 0x00010002);
+  put32(r, gige::kDeviceMode, 0x80000001);  // big endian, UTF-8
+  put32(r, gige::kMacHigh, 0x0200);         // locally administered; distinct per address
+  put32(r, gige::kMacLow, ip);
+  put32(r, gige::kSupportedIpConfiguration, 1);
+  put32(r, gige::kCurrentIpConfiguration, 1);
+  put32(r, gige::kCurrentIp, ip);
+  put32(r, gige::kSubnetMask, 0xff000000);
+  putText(r, gige::kManufacturer, 32, "lightsketch");
+  putText(r, gige::kModel, 32, options.model);
+  putText(r, gige::kDeviceVersion, 32, "1");
+  putText(r, gige::kManufacturerInfo, 48, "simulated camera");
+  putText(r, gige::kSerial, 16, options.serial);
+  putText(r, gige::kXmlUrl, 512, fmt::format("Local:camera.xml;{:x};{:x}", gige::kXml, xml.size()));
+  put32(r, gige::kNetworkInterfaceCount, 1);
+  put32(r, gige::kStreamChannelCount, 1);
+  put32(r, gige::kCapability, 1u << 30 | 1u << 2 | 1u << 1);  // serial, resend, WRITEMEM
+  put32(r, gige::kHeartbeatTimeout, 3000);
+  put32(r, gige::kTickFrequencyLow, 1'000'000'000);
+  put32(r, gige::kStreamPacketSize, 1400);
+  put32(r, gige::kStreamSourcePort, ntohs(streamAddress.sin_port));
+
+  // The camera's own.
+  put32(r, gige::kWidth, width);
+  put32(r, gige::kHeight, height);
+  put32(r, gige::kSensorWidth, width);
+  put32(r, gige::kSensorHeight, height);
+  put32(r, gige::kPixelFormat, pixelFormatInfo(formats.front()).pfncCode);
+  putDouble(r, gige::kExposureTime, exposureUs);
+  putDouble(r, gige::kFrameRate, options.defaultFramesPerSecond);
+  putDouble(r, gige::kGuideZ, 1);
+  afterWrite(gige::kWidth, {});
+  if (!acceptable(r)) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "simulated camera {}: sensor {}x{}, exposure {} s or {} frames/s out of range",
+                   options.address, width, height, options.defaultExposureSeconds,
+                   options.defaultFramesPerSecond);
+  }
+  return {};
+}
+
+std::uint64_t GigeDevice::State::deviceClock(TimePoint time) const {
+  const double drift = 1e-6 * options.clockDriftPpm * toSeconds(time - startTime);
+  return static_cast<std::uint64_t>(
+      (time.time_since_epoch() + fromSeconds(options.clockOffsetSeconds + drift)).count());
+}
+
+// --- Control -------------------------------------------------------------------------------------
+
+void GigeDevice::State::controlLoop(std::stop_token stop) {
+  std::array<std::uint8_t, 2048> buffer;
+  while (!stop.stop_requested()) {
+    pollfd event{gvcp.fd(), POLLIN, 0};
+    if (::poll(&event, 1, kPollMilliseconds) > 0) {
+      sockaddr_in from{};
+      socklen_t length = sizeof from;
+      const ssize_t size = ::recvfrom(gvcp.fd(), buffer.data(), buffer.size(), MSG_DONTWAIT,
+                                      reinterpret_cast<sockaddr*>(&from), &length);
+      if (size > 0) handle(View(buffer).first(static_cast<std::size_t>(size)), from);
+    }
+    const std::lock_guard lock(mutex);
+    const auto timeout = std::chrono::milliseconds(get32(registers, gige::kHeartbeatTimeout));
+    if (controller && Clock::now() - lastHeartbeat > timeout) releaseControl();
+  }
+}
+
+void GigeDevice::State::handle(View packet, const sockaddr_in& from) {
+  // Header: key 0x42, flags, command, payload size, request id. Anything else is not for us.
+  if (packet.size() < kGvcpHeader || packet[0] != 0x42) return;
+  const bool wantsAnswer = (packet[1] & 1) != 0;
+  const std::uint16_t command = get16(packet, 2);
+  const std::size_t size = get16(packet, 4);
+  if (size > packet.size() - kGvcpHeader || size > kMaxGvcpPayload) return;
+  const View payload = packet.subspan(kGvcpHeader, size);
+  if (command == kPacketResend) return resend(payload, from);
+
+  Bytes answer(kGvcpHeader, 0);
+  Status status = kSuccess;
+  {
+    const std::lock_guard lock(mutex);
+    if (controller && sameSender(*controller, from)) lastHeartbeat = Clock::now();
+    switch (command) {
+      case kDiscovery:
+        status = readMemory(0, gige::kDiscoverySize, answer);
+        break;
+      case kReadRegister:
+        if (size == 0 || size % 4 != 0) status = kInvalidParameter;
+        for (std::size_t i = 0; status == kSuccess && i < size; i += 4) {
+          status = readMemory(get32(payload, i), 4, answer);
+        }
+        break;
+      case kWriteRegister: {
+        if (size == 0 || size % 8 != 0) status = kInvalidParameter;
+        std::uint32_t written = 0;
+        for (std::size_t i = 0; status == kSuccess && i < size; i += 8) {
+          status = write(get32(payload, i), payload.subspan(i + 4, 4), from);
+          if (status == kSuccess) ++written;
+        }
+        answer.resize(kGvcpHeader + 4, 0);
+        put16(answer, 10, written);
+        break;
+      }
+      case kReadMemory:
+        if (size != 8 || get16(payload, 6) % 4 != 0 || get16(payload, 6) > kMaxGvcpPayload - 4) {
+          status = kInvalidParameter;
+        } else {
+          answer.insert(answer.end(), payload.begin(), payload.begin() + 4);
+          status = readMemory(get32(payload, 0), get16(payload, 6), answer);
+        }
+        break;
+      case kWriteMemory:
+        if (size < 8 || size % 4 != 0) {
+          status = kInvalidParameter;
+        } else {
+          status = write(get32(payload, 0), payload.subspan(4), from);
+          answer.resize(kGvcpHeader + 4, 0);
+          put16(answer, 10, status == kSuccess ? static_cast<std::uint32_t>(size - 4) : 0);
+        }
+        break;
+      default:
+        status = kNotImplemented;
+    }
+  }
+  if (!wantsAnswer) return;
+  if (status != kSuccess && command != kWriteRegister && command != kWriteMemory) {
+    answer.resize(kGvcpHeader);
+  }
+  put16(answer, 0, status);
+  put16(answer, 2, command + 1u);
+  put16(answer, 4, static_cast<std::uint32_t>(answer.size() - kGvcpHeader));
+  put16(answer, 6, get16(packet, 6));
+  sendTo(gvcp, answer, from);
+}
+
+Status GigeDevice::State::readMemory(std::uint32_t address, std::size_t size, Bytes& out) const {
+  if (address % 4 != 0) return kBadAlignment;
+  const auto copy = [&](const auto& memory, std::size_t at) {
+    if (at > memory.size() || size > memory.size() - at) return kInvalidAddress;
+    out.insert(out.end(), memory.begin() + static_cast<std::ptrdiff_t>(at),
+               memory.begin() + static_cast<std::ptrdiff_t>(at + size));
+    return kSuccess;
+  };
+  return address >= gige::kXml ? copy(xml, address - gige::kXml) : copy(registers, address);
+}
+
+Status GigeDevice::State::write(std::uint32_t address, View value, const sockaddr_in& from) {
+  using namespace gige;
+  static constexpr std::array kAlways = {
+      kHeartbeatTimeout, kTimestampControl, kControlPrivilege, kAcquisitionMode,
+      kAcquisition,      kExposureTime,     kExposureTime + 4, kGain,
+      kGain + 4,         kFrameRate,        kFrameRate + 4,    kGuideMode,
+      kGuideMode + 4,    kGuideX,           kGuideX + 4,       kGuideY,
+      kGuideY + 4,       kGuideZ,           kGuideZ + 4};
+  static constexpr std::array kWhileStopped = {
+      kWidth,      kHeight,           kOffsetX,           kOffsetY,      kPixelFormat,
+      kStreamPort, kStreamPacketSize, kStreamPacketDelay, kStreamAddress};
+  if (address % 4 != 0) return kBadAlignment;
+  if (controller ? !sameSender(*controller, from) : address != kControlPrivilege) {
+    return kAccessDenied;
+  }
+  if (address == kTimestampControl && !options.timestampLatch) return kInvalidAddress;
+
+  // All of it or nothing.
+  Bytes next = registers;
+  for (std::size_t i = 0; i < value.size(); i += 4) {
+    const std::size_t at = address + i;
+    const auto is = [at](std::uint32_t writable) { return writable == at; };
+    if (at + 4 > next.size()) return at >= kXml ? kWriteProtect : kInvalidAddress;
+    if (std::any_of(kWhileStopped.begin(), kWhileStopped.end(), is)) {
+      const bool closesStream = at == kStreamPort && get32(value, i) == 0;
+      if (get32(registers, kAcquisition) == 1 && !closesStream) return kBusy;
+    } else if (std::none_of(kAlways.begin(), kAlways.end(), is)) {
+      return kWriteProtect;
+    }
+    put32(next, at, get32(value, i));
+  }
+  if (!acceptable(next)) return kInvalidParameter;
+  registers = std::move(next);
+  for (std::size_t i = 0; i < value.size(); i += 4) {
+    afterWrite(address + static_cast<std::uint32_t>(i), from);
+  }
+  changed.notify_all();
+  return kSuccess;
+}
+
+bool GigeDevice::State::acceptable(View r) const {
+  using namespace gige;
+  const auto fits = [&](std::uint32_t side, std::uint32_t offset, std::uint32_t sensor) {
+    const std::uint32_t s = get32(r, side), o = get32(r, offset), limit = get32(r, sensor);
+    return s >= kMinSide && s <= limit && o <= limit - s && s % kSideStep == 0 &&
+           o % kSideStep == 0;
+  };
+  const auto within = [&](std::uint32_t address, double min, double max) {
+    const double value = getDouble(r, address);
+    return value >= min && value <= max;  // false for NaN
+  };
+  const auto format = pixelFormatFromCode(get32(r, kPixelFormat));
+  const std::uint32_t packetSize = get32(r, kStreamPacketSize) & 0xffff;
+  return fits(kWidth, kOffsetX, kSensorWidth) && fits(kHeight, kOffsetY, kSensorHeight) && format &&
+         std::find(formats.begin(), formats.end(), *format) != formats.end() &&
+         within(kExposureTime, kMinExposureUs, kMaxExposureUs) && within(kGain, 0, kMaxGainDb) &&
+         within(kFrameRate, kMinFrameRate, kMaxFrameRate) && within(kGuideMode, 0, 2) &&
+         within(kGuideX, -1, 1) && within(kGuideY, -1, 1) && within(kGuideZ, -1, 1) &&
+         packetSize >= kMinPacketSize && packetSize <= kMaxPacketSize &&
+         get32(r, kHeartbeatTimeout) >= 500 && get32(r, kAcquisition) <= 1 &&
+         get32(r, kAcquisitionMode) == 0;
+}
+
+// What a write sets off beyond its register.
+void GigeDevice::State::afterWrite(std::uint32_t address, const sockaddr_in& from) {
+  using namespace gige;
+  switch (address) {
+    case kControlPrivilege:
+      if ((get32(registers, kControlPrivilege) & 3) == 0) return releaseControl();
+      controller = from;
+      lastHeartbeat = Clock::now();
+      break;
+    case kTimestampControl: {
+      if ((get32(registers, kTimestampControl) & 2) != 0) {
+        const std::uint64_t now = deviceClock(Clock::now());
+        put32(registers, kTimestampHigh, static_cast<std::uint32_t>(now >> 32));
+        put32(registers, kTimestampLow, static_cast<std::uint32_t>(now));
+      }
+      put32(registers, kTimestampControl, 0);
+      break;
+    }
+    case kStreamPacketSize: {
+      const std::uint32_t value = get32(registers, kStreamPacketSize);
+      put32(registers, kStreamPacketSize, value & 0x7fffffff);
+      if ((value & 0x80000000) != 0) {
+        sendTo(gvsp, Bytes((value & 0xffff) - 28, 0), streamDestination());
+      }
+      break;
+    }
+    case kWidth:
+    case kHeight:
+    case kPixelFormat: {
+      const auto format = pixelFormatFromCode(get32(registers, kPixelFormat));
+      const auto bytes = static_cast<std::uint32_t>(pixelFormatInfo(*format).bytesPerPixel);
+      put32(registers, kPayloadSize, get32(registers, kWidth) * get32(registers, kHeight) * bytes);
+      break;
+    }
+    case kAcquisition:
+      ++acquisition;
+      break;
+    case kGuideMode + 4: {
+      const double mode = std::round(getDouble(registers, kGuideMode));
+      pendingGuide = Guide{static_cast<Guide::Mode>(static_cast<int>(mode)),
+                           {getDouble(registers, kGuideX), getDouble(registers, kGuideY),
+                            getDouble(registers, kGuideZ)}};
+      break;
+    }
+    default:
+      break;
+  }
+}
+
+void GigeDevice::State::releaseControl() {
+  controller.reset();
+  put32(registers, gige::kControlPrivilege, 0);
+  put32(registers, gige::kAcquisition, 0);
+  put32(registers, gige::kStreamPort, 0);
+  ++acquisition;
+  changed.notify_all();
+}
+
+void GigeDevice::State::resend(View payload, const sockaddr_in& from) {
+  // Channel, block id, first and last packet. Aravis asks from its stream's socket, so only the
+  // host can be checked.
+  if (payload.size() < 12) return;
+  {
+    const std::lock_guard lock(mutex);
+    if (!controller || !sameHost(*controller, from)) return;
+  }
+  const std::uint16_t id = get16(payload, 2);
+  const std::uint32_t first = get32(payload, 4) & 0xffffff;
+  const std::uint32_t last = get32(payload, 8) & 0xffffff;
+  std::shared_ptr<const SentFrame> frame;
+  {
+    const std::lock_guard lock(cacheMutex);
+    const auto found = std::find_if(cache.begin(), cache.end(),
+                                    [id](const auto& cached) { return cached->id == id; });
+    if (found != cache.end()) frame = *found;
+  }
+  Bytes packet;
+  if (!frame) {
+    SentFrame unknown;
+    unknown.id = id;
+    unknown.packet(first, kPacketUnavailable, packet);
+    const std::lock_guard lock(mutex);
+    return sendTo(gvsp, packet, streamDestination());
+  }
+  for (std::uint32_t i = first; i <= last && i < frame->packetCount(); ++i) {
+    frame->packet(i, kSuccess, packet);
+    sendTo(gvsp, packet, frame->destination);
+  }
+}
+
+// --- Frames --------------------------------------------------------------------------------------
+
+void GigeDevice::State::frameLoop(std::stop_token stop) {
+  std::uint64_t current = 0;  // acquisition
+  TimePoint next;
+  std::unique_lock lock(mutex);
+  while (changed.wait(lock, stop, [&] { return pendingGuide || streaming(); })) {
+    if (pendingGuide) {
+      const Guide guide = *std::exchange(pendingGuide, std::nullopt);
+      lock.unlock();
+      source.guide(guide);
+      lock.lock();
+      continue;
+    }
+    if (acquisition != current) {
+      current = acquisition;
+      next = Clock::now();
+      nextId = options.firstFrameId;
+    }
+    if (changed.wait_until(lock, stop, next,
+                           [&] { return pendingGuide || acquisition != current; })) {
+      continue;
+    }
+    if (stop.stop_requested()) return;
+
+    const TimePoint start = Clock::now();
+    const Snapshot shot = snapshot();
+    lock.unlock();
+    exposeAndSend(shot, start, stop);
+    lock.lock();
+    next = std::max(next + framePeriod(), Clock::now());
+  }
+}
+
+Snapshot GigeDevice::State::snapshot() {
+  using namespace gige;
+  const auto number = [&](std::uint32_t address) {
+    return static_cast<int>(get32(registers, address));
+  };
+  Snapshot shot;
+  shot.request.index = frameIndex++;
+  shot.request.format = *pixelFormatFromCode(get32(registers, kPixelFormat));
+  shot.request.region = {number(kOffsetX), number(kOffsetY), number(kWidth), number(kHeight)};
+  shot.request.exposureSeconds = 1e-6 * getDouble(registers, kExposureTime);
+  shot.request.gainDb = getDouble(registers, kGain);
+  shot.id = std::exchange(
+      nextId, nextId == 65535 ? std::uint16_t{1} : static_cast<std::uint16_t>(nextId + 1));
+  shot.acquisition = acquisition;
+  shot.bytesPerPacket = (get32(registers, kStreamPacketSize) & 0xffff) - kPacketOverhead;
+  shot.destination = streamDestination();
+  return shot;
+}
+
+void GigeDevice::State::exposeAndSend(Snapshot shot, TimePoint exposureStart,
+                                      std::stop_token stop) {
+  const double exposure = shot.request.exposureSeconds;
+  shot.request.timeSeconds = toSeconds(exposureStart - startTime) + exposure / 2;
+  const auto frame = std::make_shared<SentFrame>();
+  frame->id = shot.id;
+  frame->timestamp = deviceClock(exposureStart);
+  frame->request = shot.request;
+  frame->bytesPerPacket = shot.bytesPerPacket;
+  frame->destination = shot.destination;
+  const std::size_t size =
+      static_cast<std::size_t>(shot.request.region.width) *
+      static_cast<std::size_t>(shot.request.region.height) *
+      static_cast<std::size_t>(pixelFormatInfo(shot.request.format).bytesPerPixel);
+  frame->image.assign(size, 0);
+  source.expose(shot.request, frame->image);
+  frame->image.resize(size);
+
+  // No camera sends before its exposure is over, nor after it was told to stop.
+  {
+    std::unique_lock lock(mutex);
+    changed.wait_until(lock, stop, exposureStart + fromSeconds(exposure),
+                       [&] { return acquisition != shot.acquisition; });
+    if (acquisition != shot.acquisition || stop.stop_requested()) return;
+  }
+  send(frame, stop);
+}
+
+void GigeDevice::State::send(std::shared_ptr<const SentFrame> frame, std::stop_token stop) {
+  {
+    const std::lock_guard lock(cacheMutex);
+    cache.push_back(frame);
+    if (cache.size() > kCachedFrames) cache.pop_front();
+  }
+  std::uniform_real_distribution<double> chance(0, 1);
+  Bytes packet;
+  for (std::uint32_t i = 0; i < frame->packetCount() && !stop.stop_requested(); ++i) {
+    if (i > 0 && i % static_cast<std::uint32_t>(options.packetsPerBurst) == 0) {
+      std::this_thread::sleep_for(kBurstPause);
+    }
+    if (options.packetLoss > 0 && chance(random) < options.packetLoss) continue;
+    frame->packet(i, kSuccess, packet);
+    sendTo(gvsp, packet, frame->destination);
+  }
+  ++sent;
+}
+
+// --- The public face -----------------------------------------------------------------------------
+
+Result<std::unique_ptr<GigeDevice>> GigeDevice::start(FrameSource& source,
+                                                      const GigeDeviceOptions& options,
+                                                      TimePoint startTime) {
+  auto state = std::make_unique<State>(source, options, startTime);
+  RETURN_IF_ERROR(state->open());
+  state->run();
+  return std::unique_ptr<GigeDevice>(new GigeDevice(std::move(state)));
+}
+
+GigeDevice::GigeDevice(std::unique_ptr<State> state) : state_(std::move(state)) {}
+GigeDevice::~GigeDevice() = default;
+
+std::uint64_t GigeDevice::framesSent() const { return state_->sent; }
+
+}  // namespace lightsketch

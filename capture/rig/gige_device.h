@@ -16,8 +16,8 @@ namespace lightsketch {
 
 // What the camera's registers say when a frame is exposed.
 struct ExposureRequest {
-  std::uint64_t index = 0;        // frames since the device was started
-  double timeSeconds = 0;         // true time of mid-exposure since the rig was started
+  std::uint64_t index = 0;  // frames since the device was started
+  double timeSeconds = 0;   // true time of mid-exposure since the rig was started
   PixelFormat format = PixelFormat::kMono8;
   Region region;
   double exposureSeconds = 0;
@@ -38,30 +38,37 @@ class FrameSource {
   virtual int sensorWidth() const = 0;
   virtual int sensorHeight() const = 0;
   virtual std::vector<PixelFormat> formats() const = 0;  // the first is the default
-  // Fills `bytes` (region, format, little endian, no padding). Called on the device's own thread.
+  // Fills `bytes` (region, format, little endian, no padding), which comes zeroed and of the right
+  // size. Called on the device's frame thread; may take as long as it likes.
   virtual void expose(const ExposureRequest& request, std::vector<std::uint8_t>& bytes) = 0;
+  // Called on the same thread as expose(), never during it, also while nothing streams.
   virtual void guide(const Guide&) {}
 };
 
 struct GigeDeviceOptions {
   std::string address = "127.0.0.11";
-  int controlPort = 3956;          // GVCP; Aravis only talks to 3956
+  int controlPort = 3956;  // GVCP; Aravis only talks to 3956
   std::string model = "SimulatedScene";
   std::string serial = "SIM-1";
   double defaultFramesPerSecond = 15;
   double defaultExposureSeconds = 0.01;
-  double clockOffsetSeconds = 0;   // the device's clock against the host's
+  double clockOffsetSeconds = 0;  // the device's clock against the host's
   double clockDriftPpm = 0;
-  int packetsPerBurst = 24;        // pacing: this many packets, then a pause of 0.5 ms
+  bool timestampLatch = true;      // false: like cameras that cannot be asked for their time
+  std::uint16_t firstFrameId = 1;  // of every acquisition; ids are 16 bits wide and wrap 65535 -> 1
+  int packetsPerBurst = 24;        // pacing: this many packets, then a pause of 0.5 ms, so that a
+                                   // default socket buffer (208 KiB) keeps up
   double packetLoss = 0;           // fraction of packets not sent at first; resends are honoured
   std::uint32_t seed = 1;
 };
 
-// Runs on threads of its own from start() to destruction. Stops streaming when the controller's
-// heartbeat stops.
+// Runs on threads of its own from start() to destruction: one answers GVCP, one exposes and sends,
+// so that a slow expose() never delays an answer. Stops streaming when the controller's heartbeat
+// stops. Registers out of range are refused, format and region while streaming too.
 class GigeDevice {
  public:
-  // `source` must outlive the device. `startTime` is the rig's time zero.
+  // `source` must outlive the device. `startTime` is the rig's time zero. Fails if the address is
+  // not one of this machine's or its port is taken.
   static Result<std::unique_ptr<GigeDevice>> start(FrameSource& source,
                                                    const GigeDeviceOptions& options,
                                                    TimePoint startTime);

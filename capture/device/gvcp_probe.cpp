@@ -1,0 +1,111 @@
+#include "capture/device/gvcp_probe.h"
+
+#include <arpa/inet.h>
+#include <netinet/in.h>
+#include <poll.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <array>
+#include <cstring>
+#include <string_view>
+
+namespace lightsketch {
+namespace {
+
+constexpr std::uint16_t kGvcpPort = 3956;
+constexpr auto kRepeat = std::chrono::milliseconds(250);  // a datagram may be lost
+
+class Socket {
+ public:
+  Socket() : fd_(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {}
+  ~Socket() {
+    if (fd_ >= 0) ::close(fd_);
+  }
+  Socket(const Socket&) = delete;
+  Socket& operator=(const Socket&) = delete;
+  int fd() const { return fd_; }
+
+ private:
+  int fd_;
+};
+
+sockaddr_in gvcpAddress(const std::string& ipv4Address) {
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(kGvcpPort);
+  ::inet_pton(AF_INET, ipv4Address.c_str(), &address.sin_addr);
+  return address;
+}
+
+std::string toText(const in_addr& address) {
+  std::array<char, INET_ADDRSTRLEN> text{};
+  ::inet_ntop(AF_INET, &address, text.data(), text.size());
+  return text.data();
+}
+
+}  // namespace
+
+bool isIpv4Address(const std::string& text) {
+  in_addr address{};
+  return ::inet_pton(AF_INET, text.c_str(), &address) == 1;
+}
+
+std::vector<CameraInfo> probeCameras(std::span<const std::string> ipv4Addresses, Duration timeout) {
+  // Discovery: key, flags (answer wanted), command 0x0002, no payload, request id. The answer's
+  // payload is the first 248 bytes of the bootstrap registers (GigE Vision 1.2, section 16.1).
+  static constexpr std::array<std::uint8_t, 8> kRequest = {0x42, 0x01, 0, 2, 0, 0, 0xff, 0xff};
+  constexpr std::size_t kAnswerSize = 8 + 0xf8;
+  std::vector<CameraInfo> found;
+  const Socket socket;
+  const TimePoint end = Clock::now() + timeout;
+  while (found.size() < ipv4Addresses.size() && Clock::now() < end) {
+    for (const std::string& address : ipv4Addresses) {
+      const sockaddr_in to = gvcpAddress(address);
+      (void)::sendto(socket.fd(), kRequest.data(), kRequest.size(), 0,
+                     reinterpret_cast<const sockaddr*>(&to), sizeof to);
+    }
+    const TimePoint again = std::min(end, Clock::now() + kRepeat);
+    while (found.size() < ipv4Addresses.size()) {
+      const auto left = std::chrono::ceil<std::chrono::milliseconds>(again - Clock::now()).count();
+      pollfd event{socket.fd(), POLLIN, 0};
+      if (left <= 0 || ::poll(&event, 1, static_cast<int>(left)) <= 0) break;
+      std::array<std::uint8_t, 1024> answer;
+      sockaddr_in from{};
+      socklen_t length = sizeof from;
+      const ssize_t size = ::recvfrom(socket.fd(), answer.data(), answer.size(), MSG_DONTWAIT,
+                                      reinterpret_cast<sockaddr*>(&from), &length);
+      if (size < static_cast<ssize_t>(kAnswerSize) || answer[0] != 0 || answer[1] != 0 ||
+          answer[2] != 0 || answer[3] != 3) {
+        continue;
+      }
+      const auto text = [&](std::size_t registerAddress, std::size_t maxSize) {
+        const char* begin = reinterpret_cast<const char*>(answer.data()) + 8 + registerAddress;
+        return std::string(begin, ::strnlen(begin, maxSize));
+      };
+      CameraInfo info{"aravis:" + toText(from.sin_addr), text(0x48, 32), text(0x68, 32),
+                      text(0xd8, 16)};
+      const bool known = std::any_of(found.begin(), found.end(), [&](const CameraInfo& other) {
+        return other.address == info.address;
+      });
+      if (!known) found.push_back(std::move(info));
+    }
+  }
+  return found;
+}
+
+std::string localAddressTowards(const std::string& ipv4Address) {
+  // Connecting a datagram socket sends nothing; it only makes the kernel choose a route.
+  const Socket socket;
+  const sockaddr_in to = gvcpAddress(ipv4Address);
+  sockaddr_in own{};
+  socklen_t length = sizeof own;
+  if (::connect(socket.fd(), reinterpret_cast<const sockaddr*>(&to), sizeof to) != 0 ||
+      ::getsockname(socket.fd(), reinterpret_cast<sockaddr*>(&own), &length) != 0) {
+    return {};
+  }
+  return toText(own.sin_addr);
+}
+
+}  // namespace lightsketch
