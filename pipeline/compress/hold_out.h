@@ -1,5 +1,5 @@
-// Which frames are kept back from a model to measure it with. Rules pick by frame id, so later edits
-// do not move the set.
+// Which frames are kept back from a model to measure it with. Rules pick by frame id, so later
+// edits do not move the set.
 #pragma once
 
 #include <Eigen/Core>
@@ -13,10 +13,10 @@
 namespace lightsketch {
 
 struct HoldOut {
-  std::string rule;            // as given
-  std::vector<int> training;   // frame ids the model may see
-  std::vector<int> heldOut;    // frame ids it is measured on
-  std::vector<int> margin;     // frame ids that neither may use
+  std::string rule;           // as given
+  std::vector<int> training;  // frame ids the model may see
+  std::vector<int> heldOut;   // frame ids it is measured on
+  std::vector<int> margin;    // frame ids that neither may use
 };
 
 // "every:8:4": index modulo 8 is 4, in journal (or .lp) order over active frames' ids.

@@ -22,12 +22,12 @@
 namespace lightsketch {
 
 struct BlockLayout {
-  int width = 0;   // of the picture, pixels
+  int width = 0;  // of the picture, pixels
   int height = 0;
   int blockSize = 16;  // S; blocks at the right and lower rim are padded with zeros to S x S
   int columns() const { return (width + blockSize - 1) / blockSize; }
   int rows() const { return (height + blockSize - 1) / blockSize; }
-  int blocks() const { return columns() * rows(); }          // m
+  int blocks() const { return columns() * rows(); }             // m
   int pixelsPerBlock() const { return blockSize * blockSize; }  // p
 };
 
@@ -38,23 +38,23 @@ using RowMajorMatrixf = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eig
 struct RelightableModel {
   BlockLayout layout;
   std::vector<std::int64_t> blockOffset;  // m + 1: first row of each block in E and U
-  RowMajorMatrixf E;  // rows x p
-  RowMajorMatrixf U;  // rows x q
-  RowMajorMatrixf V;  // q x 3n, column 3 i + c: light i, channel c
-  Storage storage = Storage::kFloat16;  // on disk
+  RowMajorMatrixf E;                      // rows x p
+  RowMajorMatrixf U;                      // rows x q
+  RowMajorMatrixf V;                      // q x 3n, column 3 i + c: light i, channel c
+  Storage storage = Storage::kFloat16;    // on disk
 
-  std::vector<Eigen::Vector3d> lights;   // n, unit, scene frame
-  std::vector<double> solidAngles;       // n, Voronoi cells in steradians
-  InterpolationSettings interpolation;   // between the model's lights, in linear light
+  std::vector<Eigen::Vector3d> lights;  // n, unit, scene frame
+  std::vector<double> solidAngles;      // n, Voronoi cells in steradians
+  InterpolationSettings interpolation;  // between the model's lights, in linear light
 
   // Provenance.
-  std::string holdOutRule;               // empty: nothing held out
+  std::string holdOutRule;  // empty: nothing held out
   std::vector<int> heldOutIds;
-  std::vector<int> capturedIds;          // frames it was made from
+  std::vector<int> capturedIds;  // frames it was made from
   std::vector<Eigen::Vector3d> capturedDirections;
-  std::string sketch;                    // where it came from
+  std::string sketch;  // where it came from
   std::string software;
-  Json notes = Json::object();           // figures of the compression
+  Json notes = Json::object();  // figures of the compression
 
   int lightCount() const { return static_cast<int>(lights.size()); }
   int rank() const { return static_cast<int>(V.rows()); }  // q
