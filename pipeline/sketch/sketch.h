@@ -2,10 +2,11 @@
 //
 //   sketch.json    what was recorded, by what (written once, atomically)
 //   rig.json       where the cameras stood (optional)
-//   frames.jsonl   the journal, append-only, an event a line
+//   frames.jsonl   the journal, append-only, an event a line, each closed by its own checksum
 //   frames/000123.exr   linear half RGB, light and exposure also in the header
 //   ambient.exr    the scene without the lamp (optional)
 //   calibration/   camera models used
+//   lock           held by the one program that writes
 //
 // A frame counts as recorded only when its EXR is on disk and its journal line is written and
 // synced. Nothing is ever rewritten: undo and corrections are events too.
@@ -73,11 +74,13 @@ class Sketch {
   // Creates folder and files; the folder must not exist or be empty.
   static Result<Sketch> create(const std::filesystem::path& folder, const SketchManifest& manifest,
                                const std::optional<RigGeometry>& rig = std::nullopt);
-  // Replays the journal. A torn last line (a crash while writing) is cut off and the id reused; any
-  // other damaged line fails with file and line. Leftover partial files are removed only by
-  // openForAppend.
+  // Replays the journal. A torn last line (a crash while writing it: cut short, or with zeros in
+  // it) was never acknowledged and is ignored; any other damaged line fails with file and line.
+  // Changes nothing on disk.
   static Result<Sketch> open(const std::filesystem::path& folder);
-  // As open(), ready to go on recording. One writer at a time (a lock file says so).
+  // As open(), ready to go on recording: cuts the torn line off (its id is used again), removes
+  // images without a line and partial files. Fails while another program writes; the lock goes with
+  // its process, however that ends.
   static Result<Sketch> openForAppend(const std::filesystem::path& folder);
 
   Sketch(Sketch&&) noexcept;
@@ -100,6 +103,7 @@ class Sketch {
   Result<int> appendUnsynced(FrameRecord record, const RadianceImage& radiance);
   Result<void> sync();
 
+  // Durable on return. Dropping a dropped frame and restoring one that is not say nothing.
   Result<void> drop(int id, const std::string& reason);
   Result<void> restore(int id);
   Result<void> relight(int id, const LightDirection& light, const std::string& calibrationId);
@@ -108,7 +112,7 @@ class Sketch {
   Result<void> writeAmbient(const RadianceImage& radiance);
   // Nothing if none was recorded.
   Result<std::optional<RadianceImage>> readAmbient() const;
-  // Verifies the checksum. Thread-safe.
+  // Verifies the checksum; the error names the file and the frame to drop. Thread-safe.
   Result<RadianceImage> readFrame(int id) const;
 
  private:
