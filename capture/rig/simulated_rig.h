@@ -30,12 +30,15 @@ struct SimulatedRigOptions {
 
 // Ground truth, for tests and reports only; never part of what the pipeline sees.
 struct LampTruth {
-  double timeSeconds = 0;           // since the rig's start
+  double timeSeconds = 0;             // since the rig's start
   bool lit = false;
-  bool visibleToSource = false;     // not covered by the hand, inside the field
-  Eigen::Vector3d lampInScene;      // metres
-  Eigen::Vector3d directionInSource;// unit, source camera frame
+  bool visibleToSource = false;       // lit, inside the field, behind neither hand nor object
+  Eigen::Vector3d lampInScene;        // metres
+  Eigen::Vector3d directionInSource;  // unit, source camera frame
 };
+
+// What darkness reads as in the scene camera's frames, in counts: known from its data sheet.
+int sceneBlackLevelCounts(PixelFormat format);
 
 class SimulatedRig {
  public:
@@ -50,6 +53,7 @@ class SimulatedRig {
   TimePoint startTime() const;
   // Truth at a time since the start; times the hand has been simulated for only.
   LampTruth truthAt(double timeSeconds) const;
+  // Of both cameras together.
   std::uint64_t framesSent() const;
 
  private:

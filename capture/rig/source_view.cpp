@@ -1,0 +1,509 @@
+#include "capture/rig/source_view.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <optional>
+
+#include "capture/rig/noise.h"
+#include "capture/rig/vectorise.h"
+
+namespace lightsketch {
+namespace {
+
+using Eigen::Isometry3d;
+using Eigen::Matrix2d;
+using Eigen::Vector2d;
+using Eigen::Vector3d;
+using Eigen::Vector3f;
+
+constexpr int kSize = SourceView::kSize;
+constexpr int kCell = 8;  // pixels between the nodes of the coarse grids
+constexpr int kNodes = kSize / kCell + 1;
+
+// The bulb's own radiance, so that a white surface facing it at 0.9 m has radiance 1.
+constexpr double kLampRadiance =
+    kLampDistanceMetres * kLampDistanceMetres / (kLampRadiusMetres * kLampRadiusMetres);
+
+// Point spread: the optics' blur, and the part of the light that scatters into a halo.
+constexpr double kBlurPixels = 0.8;
+constexpr double kHaloShare = 5e-4, kHaloPixels = 9;    // Gaussian
+constexpr double kVeilShare = 2.5e-4, kVeilPixels = 14; // (1 + r^2 / s^2)^-2, integral pi s^2
+constexpr double kGhostShare = 3e-6;                    // lens reflection, mirrored at the centre
+constexpr int kGlareReach = 130;                        // pixels
+
+constexpr double kHandRadius = 0.05;     // metres
+constexpr double kHandBehind = 0.16;     // the lamp sits on a short stick
+constexpr double kTableGloss = 0.12;     // of the Fresnel reflectance is left in the mirror direction
+
+// Cuts the light that goes backwards, away from the scene: the bulb sits in a shade.
+double emission(const Vector3d& fromLamp, const Vector3d& lampPosition) {
+  const double cosine = -fromLamp.normalized().dot(lampPosition.normalized());
+  const double t = std::clamp((cosine + 0.30) / 0.45, 0.0, 1.0);
+  return 0.02 + 0.98 * t * t * (3 - 2 * t);
+}
+
+double schlick(double reflectance, double cosine) {
+  return reflectance + (1 - reflectance) * std::pow(1 - std::clamp(cosine, 0.0, 1.0), 5);
+}
+
+// Relative illumination towards the rim of the field.
+float vignetting(double theta) {
+  return static_cast<float>(1 - 0.5 * std::pow(theta / FisheyeLens::kMaxFieldAngle.radians(), 3.0));
+}
+
+LIGHTSKETCH_VECTORISED
+void addWallLight(const float* __restrict still, const float* __restrict albedo,
+                  const float* __restrict above, const float* __restrict below, float fraction,
+                  float* __restrict out) {
+  for (int cell = 0; cell < kNodes - 1; ++cell) {
+    const float left = above[cell] + fraction * (below[cell] - above[cell]);
+    const float right = above[cell + 1] + fraction * (below[cell + 1] - above[cell + 1]);
+    for (int i = 0; i < kCell; ++i) {
+      const float light = left + (right - left) * (static_cast<float>(i) + 0.5f) / kCell;
+      const int x = cell * kCell + i;
+      out[x] = still[x] + albedo[x] * light;
+    }
+  }
+}
+
+LIGHTSKETCH_VECTORISED
+void scale(const float* __restrict in, float factor, std::size_t count, float* __restrict out) {
+  for (std::size_t i = 0; i < count; ++i) out[i] = factor * in[i];
+}
+
+// A luminous disk as the lens draws it: centre, and the map from the unit disk to pixels.
+struct Disk {
+  Vector2d centre;
+  Matrix2d axes;
+  double area() const { return std::numbers::pi * std::abs(axes.determinant()); }
+};
+
+std::optional<Disk> project(const FisheyeLens& lens, const Vector3d& inCamera, double radius) {
+  const auto centre = lens.project(inCamera);
+  if (!centre) return std::nullopt;
+  const double distance = inCamera.norm();
+  const Vector3d direction = inCamera / distance;
+  const Vector3d u = direction.unitOrthogonal();
+  return Disk{*centre, lens.jacobian(direction, u, direction.cross(u)) * (radius / distance)};
+}
+
+// What the coarse grid knows of the surface seen at each node.
+struct Node {
+  Vector3f position, normal;
+  bool seen = false;
+};
+
+}  // namespace
+
+struct SourceView::State {
+  State(std::shared_ptr<const StillLife> objects, const Room& theRoom, LampMotion& theMotion,
+        std::uint32_t theSeed, std::function<void(const Guide&)> guideTo)
+      : stillLife(std::move(objects)),
+        room(theRoom),
+        motion(theMotion),
+        seed(theSeed),
+        onGuide(std::move(guideTo)),
+        frame(kPixels),
+        still(kPixels),
+        albedo(kPixels),
+        open(kPixels),
+        wallLight(kNodes * kNodes),
+        nodes(kNodes * kNodes) {
+    // Beside the picture, a hand's breadth from the subject, tilted five degrees and a little
+    // twisted: nobody mounts a camera exactly.
+    sceneFromCamera.translation() = Vector3d(0.122, -0.012, 0.012);
+    sceneFromCamera.linear() =
+        (Eigen::AngleAxisd(5 * std::numbers::pi / 180, Vector3d(0.55, 0.83, 0).normalized()) *
+         Eigen::AngleAxisd(3 * std::numbers::pi / 180, Vector3d::UnitZ()))
+            .toRotationMatrix();
+    prepare();
+  }
+
+  static constexpr std::size_t kPixels = static_cast<std::size_t>(kSize) * kSize;
+
+  void prepare();
+  void shadePixel(int x, int y, const std::vector<Vector3d>& directions);
+  void lightWalls(const LampState& lamp);
+  void drawArm(const LampState& lamp);
+  void drawCover(const LampState& lamp);
+  void drawDisk(const Disk& disk, double radiance, bool glare, std::vector<float>& out) const;
+  void drawGlare(const Vector2d& centre, double flux, std::vector<float>& out) const;
+  void drawShadow(const Vector3d& position, double radius, double opacity);
+  void drawReflections(const LampState& lamp, double share);
+
+  std::shared_ptr<const StillLife> stillLife;
+  const Room& room;
+  LampMotion& motion;
+  std::uint32_t seed;
+  std::function<void(const Guide&)> onGuide;
+  FisheyeLens lens;
+  Isometry3d sceneFromCamera = Isometry3d::Identity();
+
+  std::vector<float> frame;
+  std::vector<float> still;      // picture of room, table and still life under the room's own light
+  std::vector<float> albedo;     // times vignetting: what light of the lamp on them adds
+  std::vector<float> open;       // vignetting where a distant lamp would be seen, else 0
+  std::vector<float> wallLight;  // at the nodes
+  std::vector<Node> nodes;
+  std::vector<float> signal;
+};
+
+void SourceView::State::prepare() {
+  const Vector3f eye = sceneFromCamera.translation().cast<float>();
+
+  // Directions at the corners of the coarse cells; the lens is smooth enough to interpolate between
+  // (0.02 px).
+  std::vector<Vector3d> directions(static_cast<std::size_t>(kNodes) * kNodes);
+  tbb::parallel_for(0, kNodes, [&](int row) {
+    for (int column = 0; column < kNodes; ++column) {
+      const auto i = static_cast<std::size_t>(row * kNodes + column);
+      const Vector3d inCamera =
+          lens.unprojectUnbounded(Vector2d(column * kCell, row * kCell));
+      directions[i] = sceneFromCamera.linear() * inCamera;
+      const Vector3f direction = directions[i].cast<float>();
+      Node& node = nodes[i];
+      node.seen = inCamera.z() > std::cos(FisheyeLens::kMaxFieldAngle.radians() + 0.08);
+      if (const auto hit = stillLife->glance(eye, direction)) {
+        node.seen = false;  // close things keep the room's light only
+      } else {
+        const RoomHit wall = room.trace(eye, direction);
+        node.position = wall.position;
+        node.normal = wall.normal;
+      }
+    }
+  });
+  tbb::parallel_for(0, kSize, [&](int y) {
+    for (int x = 0; x < kSize; ++x) shadePixel(x, y, directions);
+  });
+  for (const auto& spot : room.spots()) {
+    const Vector3d inCamera = sceneFromCamera.inverse() * spot.position.cast<double>();
+    if (const auto disk = project(lens, inCamera, spot.radius)) {
+      drawDisk(*disk, spot.radiance, true, still);
+    }
+  }
+}
+
+void SourceView::State::shadePixel(int x, int y, const std::vector<Vector3d>& directions) {
+  const auto pixel = static_cast<std::size_t>(y) * kSize + static_cast<std::size_t>(x);
+  const Vector3f eye = sceneFromCamera.translation().cast<float>();
+  for (int i = 0; i < 4; ++i) {
+    // Four places inside the pixel.
+    const double px = x + 0.25 + 0.5 * (i % 2), py = y + 0.25 + 0.5 * (i / 2);
+    const int column = x / kCell, row = y / kCell;
+    const double fx = px / kCell - column, fy = py / kCell - row;
+    const auto corner = [&](int dx, int dy) -> const Vector3d& {
+      return directions[static_cast<std::size_t>((row + dy) * kNodes + column + dx)];
+    };
+    const Vector3d direction = ((1 - fy) * ((1 - fx) * corner(0, 0) + fx * corner(1, 0)) +
+                                fy * ((1 - fx) * corner(0, 1) + fx * corner(1, 1)))
+                                   .normalized();
+    const double theta = std::acos(std::clamp(direction.dot(sceneFromCamera.linear().col(2)), -1.0, 1.0));
+    if (theta > FisheyeLens::kMaxFieldAngle.radians()) continue;
+
+    const float share = 0.25f * vignetting(theta);
+    const Vector3f d = direction.cast<float>();
+    Vector3f radiance, reflectance;
+    // Only what is low can be an object or the table.
+    const auto hit = direction.z() < 0.5 ? stillLife->hit(eye, d) : std::nullopt;
+    if (hit) {
+      // Ambient light, and the room mirrored in the polish.
+      const Vector3f mirrored = d - 2 * d.dot(hit->normal) * hit->normal;
+      const float gloss = (1 - hit->roughness) * static_cast<float>(schlick(0.04, -d.dot(hit->normal)));
+      radiance = 0.04f * hit->albedo + gloss * room.trace(hit->position, mirrored).radiance;
+      reflectance.setZero();
+    } else {
+      const RoomHit wall = room.trace(eye, d);
+      radiance = wall.radiance;
+      reflectance = wall.albedo;
+      open[pixel] += share;
+    }
+    const Vector3f response(0.30f, 0.45f, 0.25f);  // of a silicon sensor without filters, roughly
+    still[pixel] += share * response.dot(radiance);
+    albedo[pixel] += share * response.dot(reflectance);
+  }
+}
+
+// Irradiance / pi that the lamp throws on what each node sees.
+void SourceView::State::lightWalls(const LampState& lamp) {
+  for (std::size_t i = 0; i < nodes.size(); ++i) {
+    const Node& node = nodes[i];
+    wallLight[i] = 0;
+    if (!lamp.lit || !node.seen) continue;
+    const Vector3d d = node.position.cast<double>() - lamp.position;
+    const double d2 = d.squaredNorm();
+    const double cosine = -d.dot(node.normal.cast<double>()) / std::sqrt(d2);
+    constexpr double kBounced = 0.02;  // from the rest of the room
+    const double direct = std::max(cosine, 0.0) * kLampDistanceMetres * kLampDistanceMetres / d2;
+    wallLight[i] = static_cast<float>(kBounced + direct * emission(d, lamp.position));
+  }
+}
+
+// A dark ball, antialiased, over whatever is there.
+void SourceView::State::drawShadow(const Vector3d& position, double radius, double opacity) {
+  const auto disk = project(lens, sceneFromCamera.inverse() * position, radius);
+  if (!disk) return;
+  const Matrix2d inverse = disk->axes.inverse();
+  const double reach = disk->axes.norm() + 2;
+  const int x0 = std::max(0, static_cast<int>(disk->centre.x() - reach));
+  const int x1 = std::min(kSize - 1, static_cast<int>(disk->centre.x() + reach));
+  const int y0 = std::max(0, static_cast<int>(disk->centre.y() - reach));
+  const int y1 = std::min(kSize - 1, static_cast<int>(disk->centre.y() + reach));
+  constexpr float kSkin = 0.004f;  // a hand against the light
+  for (int y = y0; y <= y1; ++y) {
+    for (int x = x0; x <= x1; ++x) {
+      const Vector2d offset = Vector2d(x + 0.5, y + 0.5) - disk->centre;
+      const double rho = (inverse * offset).norm();
+      const double inside = rho > 1e-6 ? offset.norm() * (1 / rho - 1) : reach;  // pixels
+      const auto alpha = static_cast<float>(opacity * std::clamp(0.5 + inside / 1.6, 0.0, 1.0));
+      if (alpha <= 0) continue;
+      const auto pixel = static_cast<std::size_t>(y) * kSize + static_cast<std::size_t>(x);
+      if (open[pixel] <= 0) continue;
+      frame[pixel] += alpha * (kSkin * open[pixel] - frame[pixel]);
+    }
+  }
+}
+
+// Hand, forearm and upper arm behind the lamp, as a chain of balls.
+void SourceView::State::drawArm(const LampState& lamp) {
+  const Vector3d outward = lamp.position.normalized();
+  const Vector3d shoulder = room.shoulder().cast<double>();
+  const Vector3d hand = lamp.position + kHandBehind * outward;
+  const Vector3d elbow = 0.5 * (hand + shoulder) + Vector3d(0.16, -0.10, -0.10);
+  constexpr int kBalls = 40;
+  for (int i = 0; i <= kBalls; ++i) {
+    const double t = static_cast<double>(i) / kBalls;
+    const Vector3d place = (1 - t) * (1 - t) * hand + 2 * t * (1 - t) * elbow + t * t * shoulder;
+    const double radius = i < 2 ? kHandRadius : 0.032 + 0.022 * t;
+    drawShadow(place, radius, 1);
+  }
+  // The stick.
+  for (int i = 1; i <= 12; ++i) {
+    drawShadow(lamp.position + (0.02 + 0.011 * i) * outward, 0.007, 1);
+  }
+}
+
+// The hand that slides in between. It comes from the side of the arm.
+void SourceView::State::drawCover(const LampState& lamp) {
+  if (lamp.cover <= 0) return;
+  const Vector3d eye = sceneFromCamera.translation();
+  const Vector3d towards = (eye - lamp.position).normalized();
+  Vector3d side = room.shoulder().cast<double>() - lamp.position;
+  side = (side - side.dot(towards) * towards).normalized();
+  const Vector3d hand = lamp.position + 0.06 * towards +
+                        (1 - lamp.cover) * 2.6 * kHandRadius * side;
+  drawShadow(hand, kHandRadius, 1);
+  drawShadow(hand + 0.06 * side, 0.8 * kHandRadius, 1);
+}
+
+void SourceView::State::drawGlare(const Vector2d& centre, double flux, std::vector<float>& out) const {
+  constexpr double kTau = 2 * std::numbers::pi;
+  const auto halo = static_cast<float>(flux * kHaloShare / (kTau * kHaloPixels * kHaloPixels));
+  const auto veil = static_cast<float>(2 * flux * kVeilShare / (kTau * kVeilPixels * kVeilPixels));
+  const int x0 = std::max(0, static_cast<int>(centre.x()) - kGlareReach);
+  const int x1 = std::min(kSize - 1, static_cast<int>(centre.x()) + kGlareReach);
+  const int y0 = std::max(0, static_cast<int>(centre.y()) - kGlareReach);
+  const int y1 = std::min(kSize - 1, static_cast<int>(centre.y()) + kGlareReach);
+  // The Gaussian is a product of one factor per column and one per row.
+  std::array<float, 2 * kGlareReach + 2> columns;
+  for (int x = x0; x <= x1; ++x) {
+    const double d = x + 0.5 - centre.x();
+    columns[static_cast<std::size_t>(x - x0)] =
+        static_cast<float>(std::exp(-0.5 * d * d / (kHaloPixels * kHaloPixels)));
+  }
+  for (int y = y0; y <= y1; ++y) {
+    const double dy = y + 0.5 - centre.y();
+    const auto rowHalo =
+        halo * static_cast<float>(std::exp(-0.5 * dy * dy / (kHaloPixels * kHaloPixels)));
+    const auto dy2 = static_cast<float>(dy * dy);
+    float* row = out.data() + static_cast<std::size_t>(y) * kSize;
+    for (int x = x0; x <= x1; ++x) {
+      const float dx = static_cast<float>(x) + 0.5f - static_cast<float>(centre.x());
+      const float r2 = dx * dx + dy2;
+      constexpr auto kReach2 = static_cast<float>(kGlareReach * kGlareReach);
+      const float f = 1 + r2 * static_cast<float>(1 / (kVeilPixels * kVeilPixels));
+      // Faded out towards the reach, so that there is no rim.
+      const float fade = std::max(1 - r2 / kReach2, 0.0f);
+      row[x] += rowHalo * columns[static_cast<std::size_t>(x - x0)] + veil * fade / (f * f);
+    }
+  }
+}
+
+// The disk itself, blurred by the optics and hidden by what is close, and the glare of the part that
+// gets into the lens. Small ones become a Gaussian of the same flux.
+void SourceView::State::drawDisk(const Disk& disk, double radiance, bool glare,
+                                 std::vector<float>& out) const {
+  const Matrix2d inverse = disk.axes.inverse();
+  const Eigen::JacobiSVD<Matrix2d> svd(disk.axes);
+  const bool small = svd.singularValues()[1] < 2;
+  const Matrix2d covariance =
+      0.25 * disk.axes * disk.axes.transpose() + kBlurPixels * kBlurPixels * Matrix2d::Identity();
+  const Matrix2d information = covariance.inverse();
+  const double peak = radiance * disk.area() / (2 * std::numbers::pi * std::sqrt(covariance.determinant()));
+
+  const double reach = svd.singularValues()[0] + 7 * kBlurPixels + 1;
+  const int x0 = std::max(0, static_cast<int>(disk.centre.x() - reach));
+  const int x1 = std::min(kSize - 1, static_cast<int>(disk.centre.x() + reach));
+  const int y0 = std::max(0, static_cast<int>(disk.centre.y() - reach));
+  const int y1 = std::min(kSize - 1, static_cast<int>(disk.centre.y() + reach));
+  double all = 0, seen = 0;
+  for (int y = y0; y <= y1; ++y) {
+    for (int x = x0; x <= x1; ++x) {
+      const Vector2d offset = Vector2d(x + 0.5, y + 0.5) - disk.centre;
+      double value = 0;
+      if (small) {
+        value = peak * std::exp(-0.5 * offset.dot(information * offset));
+      } else {
+        const double rho = (inverse * offset).norm();
+        const double outside = rho > 1e-6 ? offset.norm() * (1 - 1 / rho) : -reach;  // pixels
+        value = radiance * 0.5 * std::erfc(outside / (std::numbers::sqrt2 * kBlurPixels));
+      }
+      const auto pixel = static_cast<std::size_t>(y) * kSize + static_cast<std::size_t>(x);
+      out[pixel] += static_cast<float>(value) * open[pixel];
+      all += value;
+      seen += value * open[pixel];
+    }
+  }
+  if (!glare || all <= 0) return;
+  const double flux = radiance * disk.area() * seen / all;
+  drawGlare(disk.centre, flux, out);
+}
+
+// The lamp in the window pane, in the picture's glass and in the polished table.
+void SourceView::State::drawReflections(const LampState& lamp, double share) {
+  const Vector3d eye = sceneFromCamera.translation();
+  const auto draw = [&](const Vector3d& mirrored, double reflectance, double radius) {
+    const auto disk = project(lens, sceneFromCamera.inverse() * mirrored, radius);
+    if (!disk) return;
+    const double shrunk = kLampRadiusMetres * kLampRadiusMetres / (radius * radius);
+    drawDisk(*disk, share * reflectance * shrunk * kLampRadiance, true, frame);
+  };
+  for (const auto& pane : room.panes()) {
+    Vector3d mirrored = lamp.position;
+    mirrored[pane.axis] = 2.0 * pane.value - mirrored[pane.axis];
+    const double t = (pane.value - eye[pane.axis]) / (mirrored[pane.axis] - eye[pane.axis]);
+    const Vector3d on = eye + t * (mirrored - eye);
+    bool onPane = t > 0 && t < 1;
+    for (int i = 0; i < 3; ++i) {
+      if (i == pane.axis) continue;
+      onPane = onPane && on[i] > pane.low[i] && on[i] < pane.high[i];
+    }
+    if (!onPane) continue;
+    const double cosine = std::abs((mirrored - eye).normalized()[pane.axis]);
+    constexpr double kTwoFaces = 2;
+    draw(mirrored, kTwoFaces * schlick(0.04, cosine) * emission(on - lamp.position, lamp.position),
+         kLampRadiusMetres);
+  }
+  const double top = stillLife->tableHeight();
+  if (lamp.position.z() > top) {
+    Vector3d mirrored = lamp.position;
+    mirrored.z() = 2 * top - mirrored.z();
+    const Vector3d on = eye + (top - eye.z()) / (mirrored.z() - eye.z()) * (mirrored - eye);
+    if (on.head<2>().cwiseAbs().maxCoeff() < stillLife->tableHalfSize()) {
+      // The satin finish spreads the image: wider, weaker. It lies on pixels that are not `open`.
+      const double cosine = std::abs((mirrored - eye).normalized().z());
+      const auto disk = project(lens, sceneFromCamera.inverse() * mirrored, 2 * kLampRadiusMetres);
+      if (disk) {
+        const double radiance = share * kTableGloss * schlick(0.04, cosine) * kLampRadiance / 4;
+        drawGlare(disk->centre, radiance * disk->area() / kHaloShare * 0.25, frame);
+      }
+    }
+  }
+}
+
+SourceView::SourceView(std::shared_ptr<const StillLife> stillLife, const Room& room,
+                       LampMotion& motion, std::uint32_t seed,
+                       std::function<void(const Guide&)> onGuide)
+    : state_(std::make_unique<State>(std::move(stillLife), room, motion, seed, std::move(onGuide))) {}
+SourceView::~SourceView() = default;
+
+const Isometry3d& SourceView::sceneFromCamera() const { return state_->sceneFromCamera; }
+
+void SourceView::guide(const Guide& guide) {
+  if (state_->onGuide) state_->onGuide(guide);
+}
+
+bool SourceView::seesLamp(const LampState& lamp) const {
+  const State& s = *state_;
+  // The sliding hand reaches the lamp's disk at about a third of its way.
+  constexpr double kHandAtLamp = 0.3;
+  if (!lamp.lit || lamp.cover > kHandAtLamp) return false;
+  if (!s.lens.project(s.sceneFromCamera.inverse() * lamp.position)) return false;
+  return !s.stillLife->occluded(s.sceneFromCamera.translation().cast<float>(),
+                                lamp.position.cast<float>());
+}
+
+const std::vector<float>& SourceView::render(double timeSeconds, double exposureSeconds) {
+  State& s = *state_;
+  s.motion.advanceTo(timeSeconds + exposureSeconds / 2);
+  const LampState lamp = s.motion.at(timeSeconds);
+
+  s.lightWalls(lamp);
+  for (int y = 0; y < kSize; ++y) {
+    const auto start = static_cast<std::size_t>(y) * kSize;
+    const float* above = s.wallLight.data() + static_cast<std::size_t>(y / kCell) * kNodes;
+    const float fraction = (static_cast<float>(y % kCell) + 0.5f) / kCell;
+    addWallLight(s.still.data() + start, s.albedo.data() + start, above, above + kNodes, fraction,
+                 s.frame.data() + start);
+  }
+  s.drawArm(lamp);
+  if (!lamp.lit) return s.frame;
+
+  // The lamp moves while the shutter is open: one disk per half pixel of its way.
+  const auto pixelAt = [&](double t) {
+    return s.lens.project(s.sceneFromCamera.inverse() * s.motion.at(t).position);
+  };
+  const auto begin = pixelAt(timeSeconds - exposureSeconds / 2);
+  const auto end = pixelAt(timeSeconds + exposureSeconds / 2);
+  const double way = begin && end ? (*end - *begin).norm() : 0;
+  const int steps = std::clamp(static_cast<int>(std::ceil(2 * way)), 1, 24);
+  for (int i = 0; i < steps; ++i) {
+    const double when = timeSeconds + ((i + 0.5) / steps - 0.5) * exposureSeconds;
+    const Vector3d inCamera = s.sceneFromCamera.inverse() * s.motion.at(when).position;
+    if (const auto disk = project(s.lens, inCamera, kLampRadiusMetres)) {
+      s.drawDisk(*disk, kLampRadiance / steps, false, s.frame);
+    }
+  }
+  s.drawCover(lamp);
+
+  // Glare of what the hand lets through, from the middle of the way; and the mirror images, which
+  // the hand does not cover.
+  if (const auto disk = project(s.lens, s.sceneFromCamera.inverse() * lamp.position, kLampRadiusMetres)) {
+    const double seen = s.stillLife->occluded(s.sceneFromCamera.translation().cast<float>(),
+                                              lamp.position.cast<float>())
+                            ? 0
+                            : std::clamp(1.3 - 2 * lamp.cover, 0.0, 1.0);
+    const double flux = seen * kLampRadiance * disk->area();
+    if (flux > 0) s.drawGlare(disk->centre, flux, s.frame);
+    // The lens' own ghost: small and weak, opposite the centre.
+    const Vector2d middle = Vector2d::Constant(kSize / 2.0);
+    const Vector2d ghost = middle - 0.45 * (disk->centre - middle);
+    s.drawDisk(Disk{ghost, 9 * Matrix2d::Identity()}, flux * kGhostShare / 250, false, s.frame);
+  }
+  s.drawReflections(lamp, 1);
+  return s.frame;
+}
+
+void SourceView::expose(const ExposureRequest& request, std::vector<std::uint8_t>& bytes) {
+  State& s = *state_;
+  const std::vector<float>& image = render(request.timeSeconds, request.exposureSeconds);
+  const Region& r = request.region;
+  const auto width = static_cast<std::size_t>(r.width), height = static_cast<std::size_t>(r.height);
+  s.signal.resize(width * height);
+  for (std::size_t y = 0; y < height; ++y) {
+    scale(image.data() + (static_cast<std::size_t>(r.y) + y) * kSize + static_cast<std::size_t>(r.x),
+          static_cast<float>(kSignalPerSecond * request.exposureSeconds), width,
+          s.signal.data() + y * width);
+  }
+  bytes.resize(s.signal.size() *
+               static_cast<std::size_t>(pixelFormatInfo(request.format).bytesPerPixel));
+  readOut(kSourceSensor, request.format, request.gainDb, hash64(request.index) + s.seed, s.signal,
+          bytes.data());
+}
+
+}  // namespace lightsketch
