@@ -3,6 +3,7 @@
 
 #include <Eigen/Core>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "pipeline/illumination/light_grid.h"
@@ -22,13 +23,20 @@ class Coverage {
   void remove(const Eigen::Vector3d& direction);
   int capturedCount() const { return capturedCount_; }
   double fraction() const;
-  // The wanted direction to aim for from `here`: near, and in a region that leaves no islands
-  // behind. Nothing when all are captured.
-  std::optional<int> next(const Eigen::Vector3d& here) const;
+  // The wanted direction to aim for from `here`: near, straight on (`heading`: where the lamp is
+  // moving, any length, zero if it rests), and in a region that leaves no islands behind. Nothing
+  // when all are captured. `skip`: cells that the lamp is about to pass anyway.
+  std::optional<int> next(const Eigen::Vector3d& here,
+                          const Eigen::Vector3d& heading = Eigen::Vector3d::Zero(),
+                          std::span<const int> skip = {}) const;
+  // The lamp was held there in vain (behind a lamp of the room, out of reach): others first.
+  void postpone(int cell);
 
  private:
   LightGrid grid_;
+  std::vector<std::vector<int>> neighbours_;
   std::vector<int> captured_;
+  std::vector<int> postponed_;
   int capturedCount_ = 0;
 };
 

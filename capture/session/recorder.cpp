@@ -1,1 +1,644 @@
 #include "capture/session/recorder.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <atomic>
+#include <cmath>
+#include <condition_variable>
+#include <mutex>
+#include <thread>
+
+#include "capture/frame/file.h"
+#include "capture/session/bounded_queue.h"
+#include "capture/session/guide.h"
+#include "capture/session/pairing.h"
+#include "pipeline/hdr/linearise.h"
+
+namespace lightsketch {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr std::size_t kFrameQueue = 16;  // more than a second at the usual rates
+constexpr std::size_t kWriteQueue = 8;
+constexpr double kSilenceSeconds = 5;    // a camera that sends nothing for so long is lost
+constexpr double kPatienceSeconds = 0.2; // for a late source frame, beyond the pairing limit
+constexpr double kSettleSeconds = 0.7;   // from the wish for darkness to darkness, with a guide
+constexpr double kDarkestSlack = 0.07;   // relative brightness at which frames count as equally dark
+constexpr double kDarkestNoise = 5e-4;   // the same of full scale, for a dark room
+constexpr double kAmbientGivesUpSeconds = 15;
+
+// The ambient light: the mean of the darkest frames. Starts anew when it gets darker, so that frames
+// from before the lamp went off do not count.
+class AmbientMean {
+ public:
+  void add(const RadianceImage& frame, double seconds) {
+    double mean = 0;
+    for (const float value : frame.values()) mean += value;
+    mean /= static_cast<double>(frame.size());
+    const double slack = count_ == 0 ? 0 : std::max(kDarkestSlack * level(), kDarkestNoise);
+    if (count_ > 0 && mean > level() + slack) return;
+    if (count_ == 0 || mean < level() - slack) {
+      sum_ = RadianceImage(frame.width(), frame.height(), frame.channels());
+      levels_ = 0;
+      count_ = 0;
+      since_ = seconds;
+    }
+    for (std::size_t i = 0; i < frame.size(); ++i) sum_.data()[i] += frame.data()[i];
+    levels_ += mean;
+    ++count_;
+  }
+  bool empty() const { return count_ == 0; }
+  // Since when it has been this dark.
+  double since() const { return since_; }
+  RadianceImage mean() const {
+    RadianceImage result = sum_;
+    for (float& value : result.values()) value /= static_cast<float>(count_);
+    return result;
+  }
+
+ private:
+  double level() const { return levels_ / count_; }
+  RadianceImage sum_;
+  double levels_ = 0;
+  int count_ = 0;
+  double since_ = 0;
+};
+
+// Something for the thread that owns the sketch to write.
+struct WriteJob {
+  std::optional<FrameRecord> record;  // none: the ambient light
+  RadianceImage radiance;
+};
+
+// Stops the camera on every way out.
+struct Streaming {
+  Camera* camera;
+  ~Streaming() { camera->stop(); }
+};
+
+Result<void> validate(const RecorderOptions& o) {
+  const auto positive = [](double value, const char* name) -> Result<void> {
+    if (value > 0) return {};
+    return failure(ErrorCode::kInvalidArgument, "{} must be above 0, not {}", name, value);
+  };
+  RETURN_IF_ERROR(positive(o.sceneExposureSeconds, "the scene exposure"));
+  RETURN_IF_ERROR(positive(o.sourceExposureSeconds, "the source exposure"));
+  RETURN_IF_ERROR(positive(o.framesPerSecond, "the frame rate"));
+  RETURN_IF_ERROR(positive(o.maxPairingSeconds, "the pairing limit"));
+  RETURN_IF_ERROR(positive(o.maxLampMotion.radians(), "the lamp's motion limit"));
+  if (o.timeLimitSeconds) RETURN_IF_ERROR(positive(*o.timeLimitSeconds, "the time limit"));
+  if (!(o.coverageGoal > 0 && o.coverageGoal <= 1)) {
+    return failure(ErrorCode::kInvalidArgument, "the coverage goal must be above 0 and at most 1");
+  }
+  if (!(o.ambientSeconds >= 0)) {
+    return failure(ErrorCode::kInvalidArgument, "the ambient time must not be negative");
+  }
+  return {};
+}
+
+Result<LightGrid> gridFor(const RecorderOptions& o) {
+  return LightGrid::create(
+      o.directions, o.fullSphere ? LightGrid::Domain::kSphere : LightGrid::Domain::kHemisphere);
+}
+
+// A lamp above the scene's horizon, seen from a source camera that may stand in front of it, is at
+// most this far below the camera's own: everything lower is a reflection off the table.
+LampTrackerOptions trackerOptions(const RigGeometry& rig, const RecorderOptions& options) {
+  LampTrackerOptions tracker;
+  tracker.blackLevel = options.sourceBlackLevel;
+  if (options.fullSphere) return tracker;
+  const Eigen::Isometry3d& sceneFromSource = rig.sourceCameras.front().sceneFromCamera;
+  const double ahead = std::max(0.0, sceneFromSource.translation().z());
+  const double depression =
+      rig.lampRadiusMetres ? std::asin(std::min(1.0, ahead / *rig.lampRadiusMetres)) : 0.0;
+  tracker.allowedNormal = sceneFromSource.linear().transpose() * Vector3d::UnitZ();
+  tracker.allowedMinimum = -std::sin(Angle::degrees(1).radians() + depression);
+  return tracker;
+}
+
+// What one recording is made of. record() builds it, starts its threads and ends them.
+class Recording {
+ public:
+  Recording(Camera& sceneCamera, Camera& sourceCamera, std::shared_ptr<const CameraModel> model,
+            const RigGeometry& rig, const RecorderOptions& options, Progress& progress,
+            std::function<void(const RecorderState&)> onState, Sketch sketch, Coverage coverage,
+            const CameraSettings& sceneSettings)
+      : sceneCamera_(sceneCamera),
+        sourceCamera_(sourceCamera),
+        rig_(rig),
+        options_(options),
+        progress_(progress),
+        onState_(std::move(onState)),
+        sketch_(std::move(sketch)),
+        coverage_(std::move(coverage)),
+        tracker_(model, trackerOptions(rig, options)),
+        calibrationId_(checksum(cameraModelToJson(*model).dump())),
+        wanted_(static_cast<int>(
+            std::ceil(options.coverageGoal * static_cast<double>(coverage_.grid().size()) - 1e-9))),
+        guide_(sourceCamera, [&progress](const Error& error) {
+          progress.warn("cannot show where to go: " + error.message);
+        }) {
+    linearise_.blackLevel = options.sceneBlackLevel;
+    linearise_.referenceExposureSeconds = sceneSettings.exposureSeconds.value_or(0);
+    linearise_.referenceGainDb = sceneSettings.gainDb.value_or(0);
+    if (sceneSettings.region) {
+      width_ = sceneSettings.region->width;
+      height_ = sceneSettings.region->height;
+    }
+    for (const int id : sketch_.activeFrames()) {
+      secondsBefore_ = std::max(
+          secondsBefore_, sketch_.frames()[static_cast<std::size_t>(id)].midExposureSeconds);
+      ++summary_.resumedFrom;
+    }
+    ambientPhase_ = options.ambientSeconds > 0;
+    durable_ = coverage_.capturedCount();
+  }
+
+  // Takes reference exposure and ambient light over from a sketch that is gone on with.
+  Result<void> resume() {
+    const Json& provenance = sketch_.manifest().provenance;
+    const std::string where = (sketch_.folder() / "sketch.json").string();
+    ASSIGN_OR_RETURN(linearise_.referenceExposureSeconds,
+                     jsonNumber(provenance, "referenceExposureSeconds", where));
+    ASSIGN_OR_RETURN(linearise_.referenceGainDb, jsonNumber(provenance, "referenceGainDb", where));
+    ASSIGN_OR_RETURN(auto ambient, sketch_.readAmbient());
+    haveAmbientFile_ = ambient.has_value();
+    if (sketch_.manifest().ambientSubtracted) {
+      if (!ambient && !ambientPhase_) {
+        return failure(ErrorCode::kInvalidArgument,
+                       "{}: its frames are without ambient light, but none was recorded yet; allow "
+                       "an ambient time",
+                       sketch_.folder().string());
+      }
+      if (ambient) ambient_ = std::move(*ambient);
+    }
+    return {};
+  }
+
+  Result<RecorderSummary> run(std::stop_token stop);
+
+ private:
+  // Ends the recording; the first reason counts.
+  void end(std::string why, bool drain) {
+    {
+      const std::lock_guard lock(mutex_);
+      if (!ended_.empty()) return;
+      ended_ = std::move(why);
+      drain_ = drain;
+    }
+    changed_.notify_all();
+  }
+  void fail(Error error) {
+    {
+      const std::lock_guard lock(mutex_);
+      if (!error_) error_ = std::move(error);
+    }
+    changed_.notify_all();
+  }
+  void cameraEnded(const char* which, const Error& error) {
+    if (error.code == ErrorCode::kCancelled) {
+      end(fmt::format("the {} camera's recording ended", which), true);
+    } else {
+      lost_ = true;
+      end(fmt::format("the {} camera was lost: {}", which, error.message), true);
+    }
+  }
+  void enqueue(BoundedQueue<Frame>& queue, std::atomic<Clock::rep>& last, Frame&& frame) {
+    last = Clock::now().time_since_epoch().count();
+    queue.push(std::move(frame));
+  }
+  bool silent(const std::atomic<Clock::rep>& last) const {
+    const double limit = kSilenceSeconds + 10 * options_.sceneExposureSeconds;
+    return toSeconds(Clock::now() - TimePoint(TimePoint::duration(last.load()))) > limit;
+  }
+
+  void trackSource();
+  void judgeScene();
+  void writeSketch();
+
+  Result<void> takeAmbient(const Frame& frame);
+  Result<Refusal> judge(const Frame& frame);
+  void guideOn(double seconds);
+  void report();
+  RecorderSummary summarise();
+
+  Camera& sceneCamera_;
+  Camera& sourceCamera_;
+  const RigGeometry& rig_;
+  const RecorderOptions& options_;
+  Progress& progress_;
+  const std::function<void(const RecorderState&)> onState_;
+
+  // The writer's while threads run.
+  Sketch sketch_;
+  // The judge's while threads run.
+  Coverage coverage_;
+  GuidePlan plan_;
+  LineariseOptions linearise_;
+  RadianceImage ambient_;  // to subtract; empty: nothing
+  AmbientMean ambientMean_;
+  bool haveAmbientFile_ = false;
+  std::optional<TimePoint> firstFrame_;
+  RecorderState state_;
+  RecorderSummary summary_;
+  int width_ = 0;
+  int height_ = 0;
+  // The source thread's.
+  LampTracker tracker_;
+
+  const std::string calibrationId_;
+  const int wanted_;
+  double secondsBefore_ = 0;  // a resumed recording's clock goes on from here
+  const TimePoint start_ = Clock::now();
+  std::atomic<bool> ambientPhase_ = false;
+  std::atomic<bool> lost_ = false;
+  std::atomic<int> durable_ = 0;   // directions on disk
+  std::atomic<int> written_ = 0;   // frames on disk
+  std::atomic<Clock::rep> lastScene_{Clock::now().time_since_epoch().count()};
+  std::atomic<Clock::rep> lastSource_{Clock::now().time_since_epoch().count()};
+  BoundedQueue<Frame> sceneQueue_{kFrameQueue};
+  BoundedQueue<Frame> sourceQueue_{kFrameQueue};
+  BoundedQueue<WriteJob> writeQueue_{kWriteQueue};
+  ObservationHistory history_;
+
+  std::mutex mutex_;  // Guards ended_, drain_, error_.
+  std::condition_variable changed_;
+  std::string ended_;
+  bool drain_ = false;
+  std::optional<Error> error_;
+
+  GuideWriter guide_;
+};
+
+void Recording::trackSource() {
+  while (auto frame = sourceQueue_.pop()) {
+    if (ambientPhase_) {
+      if (auto status = tracker_.learnBackground(*frame); !status) return fail(status.error());
+      history_.add(frame->metadata.midExposure, std::nullopt);
+      continue;
+    }
+    auto result = tracker_.track(*frame);
+    if (!result) return fail(result.error());
+    history_.add(frame->metadata.midExposure, std::move(result->observation));
+  }
+  history_.end();
+}
+
+void Recording::writeSketch() {
+  while (auto job = writeQueue_.pop()) {
+    if (!job->record) {
+      if (auto status = sketch_.writeAmbient(job->radiance); !status) return fail(status.error());
+      continue;
+    }
+    auto id = sketch_.append(std::move(*job->record), job->radiance);
+    if (!id) return fail(id.error());
+    ++written_;
+    ++durable_;
+  }
+}
+
+void Recording::judgeScene() {
+  while (auto frame = sceneQueue_.pop()) {
+    if (!firstFrame_) firstFrame_ = frame->metadata.midExposure;
+    if (width_ != 0 && (frame->width != width_ || frame->height != height_)) {
+      return fail({ErrorCode::kDevice,
+                   fmt::format("scene frame {}: {} x {} pixels, expected {} x {}",
+                               frame->metadata.id, frame->width, frame->height, width_, height_)});
+    }
+    if (ambientPhase_) {
+      if (auto status = takeAmbient(*frame); !status) return fail(status.error());
+      report();
+      continue;
+    }
+    const auto refusal = judge(*frame);
+    if (!refusal) return fail(refusal.error());
+    ++summary_.offered;
+    if (*refusal != Refusal::kNone) ++summary_.refusals[*refusal];
+    state_.lastRefusal = *refusal;
+    guideOn(toSeconds(frame->metadata.midExposure - *firstFrame_));
+    report();
+    if (coverage_.capturedCount() >= wanted_) {
+      end("coverage goal reached", false);
+      return;
+    }
+  }
+}
+
+Result<void> Recording::takeAmbient(const Frame& frame) {
+  const double seconds = toSeconds(frame.metadata.midExposure - *firstFrame_);
+  const double settle = guide_.supported() ? kSettleSeconds : 0;
+  state_.lampWantedOff = true;
+  guide_.show(GuideWriter::Mode::kLampOff);
+  if (seconds < settle) return {};
+  ASSIGN_OR_RETURN(auto linear, linearise(frame, linearise_));
+  ambientMean_.add(linear.radiance, seconds);
+  if (seconds - ambientMean_.since() < options_.ambientSeconds &&
+      seconds < kAmbientGivesUpSeconds + options_.ambientSeconds) {
+    return {};
+  }
+  if (sketch_.manifest().ambientSubtracted) ambient_ = ambientMean_.mean();
+  // One that is there already belongs to the frames of before.
+  if (!haveAmbientFile_) writeQueue_.push({std::nullopt, ambientMean_.mean()});
+  ambientMean_ = {};
+  state_.lampWantedOff = false;
+  ambientPhase_ = false;
+  guideOn(seconds);
+  return {};
+}
+
+Result<Refusal> Recording::judge(const Frame& frame) {
+  const FrameMetadata& metadata = frame.metadata;
+  history_.waitFor(metadata.midExposure,
+                   fromSeconds(options_.maxPairingSeconds + kPatienceSeconds));
+  const auto paired =
+      history_.at(metadata.midExposure, metadata.timeUncertainty, options_.maxPairingSeconds);
+  if (!paired) {
+    return paired.error() == PairingFailure::kUnpaired ? Refusal::kUnpaired : Refusal::kLampNotSeen;
+  }
+  const Angle motion = Angle::radians(paired->radiansPerSecond * metadata.exposureSeconds);
+  if (motion > options_.maxLampMotion) return Refusal::kLampTooFast;
+  LightDirection light = lightAtSubject(paired->lamp, rig_);
+  const auto cell = coverage_.cellOf(light.direction);
+  if (!cell) return Refusal::kOutsideGrid;
+  if (coverage_.captured(*cell)) return Refusal::kNotNew;
+
+  // Only now does the frame cost something.
+  ASSIGN_OR_RETURN(auto linear, linearise(frame, linearise_));
+  if (linear.saturatedFraction > options_.maxSaturatedFraction) return Refusal::kSaturated;
+  for (std::size_t i = 0; i < ambient_.size(); ++i) {
+    linear.radiance.data()[i] -= ambient_.data()[i];
+  }
+
+  FrameRecord record;
+  record.light = light;
+  record.lampPixels.push_back({rig_.sourceCameras.front().camera.empty()
+                                   ? sourceCamera_.info().address
+                                   : rig_.sourceCameras.front().camera,
+                               paired->lamp.pixel, paired->lamp.covariance});
+  record.calibrationId = calibrationId_;
+  record.exposureSeconds = metadata.exposureSeconds;
+  record.gainDb = metadata.gainDb;
+  record.midExposureSeconds = secondsBefore_ + toSeconds(metadata.midExposure - *firstFrame_);
+  record.pairingErrorSeconds = std::min(paired->secondsToBefore, paired->secondsToAfter);
+  record.saturatedFraction = linear.saturatedFraction;
+  record.gates = {{"cell", *cell},
+                  {"lampMotionDegrees", motion.degrees()},
+                  {"sourceSecondsBefore", paired->secondsToBefore},
+                  {"sourceSecondsAfter", paired->secondsToAfter},
+                  {"timeUncertaintySeconds", toSeconds(metadata.timeUncertainty)},
+                  {"lampConfidence", paired->lamp.confidence},
+                  {"lampFlux", paired->lamp.flux}};
+  // A disk that cannot keep up costs this frame, not the stream; its direction stays open.
+  if (writeQueue_.push({std::move(record), std::move(linear.radiance)})) {
+    coverage_.add(light.direction);
+  }
+  return Refusal::kNone;
+}
+
+void Recording::guideOn(double seconds) {
+  if (const auto latest = history_.latest()) {
+    const Vector3d before = lightAtSubject(latest->first, rig_).direction;
+    const Vector3d now = lightAtSubject(latest->second, rig_).direction;
+    const double dt = toSeconds(latest->second.time - latest->first.time);
+    plan_.update(coverage_, seconds, now, (now - before) / std::max(dt, 1e-3));
+    state_.lampDirection = now;
+  } else {
+    plan_.updateUnseen(coverage_, seconds);
+    state_.lampDirection.reset();
+  }
+  for (const int cell : plan_.takeFailed()) coverage_.postpone(cell);
+  if (const auto target = plan_.target()) {
+    state_.nextDirection = coverage_.grid().directions()[static_cast<std::size_t>(*target)];
+    guide_.show(GuideWriter::Mode::kFollow, *state_.nextDirection);
+  } else {
+    state_.nextDirection.reset();
+  }
+}
+
+void Recording::report() {
+  progress_.update("recording", static_cast<std::size_t>(std::min(durable_.load(), wanted_)),
+                   static_cast<std::size_t>(wanted_));
+  state_.recorded = written_;
+  state_.coverage = static_cast<double>(durable_) / static_cast<double>(coverage_.grid().size());
+  if (onState_) onState_(state_);
+}
+
+Result<RecorderSummary> Recording::run(std::stop_token stop) {
+  if (coverage_.capturedCount() >= wanted_) {
+    ended_ = "nothing to do, the coverage goal was reached before";
+    return summarise();
+  }
+  std::jthread writer([this] { writeSketch(); });
+  std::jthread judge([this] { judgeScene(); });
+  std::jthread tracker([this] { trackSource(); });
+  const auto finish = [&](bool drain) {
+    sourceQueue_.close(!drain);
+    if (tracker.joinable()) tracker.join();
+    history_.end();
+    sceneQueue_.close(!drain);
+    if (judge.joinable()) judge.join();
+    writeQueue_.close();
+    if (writer.joinable()) writer.join();
+  };
+
+  Result<void> started;
+  {
+    // Source first, so that the first scene frames find their partners.
+    Streaming source{&sourceCamera_}, scene{&sceneCamera_};
+    started = sourceCamera_.start(
+        [this](Frame&& frame) { enqueue(sourceQueue_, lastSource_, std::move(frame)); },
+        [this](const Error& error) { cameraEnded("source", error); });
+    if (started) {
+      started = sceneCamera_.start(
+          [this](Frame&& frame) { enqueue(sceneQueue_, lastScene_, std::move(frame)); },
+          [this](const Error& error) { cameraEnded("scene", error); });
+    }
+    lastScene_ = lastSource_ = Clock::now().time_since_epoch().count();
+    while (started) {
+      std::unique_lock lock(mutex_);
+      if (changed_.wait_for(lock, std::chrono::milliseconds(50),
+                            [&] { return error_ || !ended_.empty(); })) {
+        break;
+      }
+      lock.unlock();
+      if (stop.stop_requested() || progress_.cancelled()) end("stopped", false);
+      if (options_.timeLimitSeconds && toSeconds(Clock::now() - start_) > *options_.timeLimitSeconds) {
+        end("time limit reached", false);
+      }
+      const auto silence = [&](const char* which, const Camera& camera) {
+        cameraEnded(which, {ErrorCode::kDevice, fmt::format("{} sent no frame for {} s",
+                                                            camera.info().address, kSilenceSeconds)});
+      };
+      if (silent(lastScene_)) silence("scene", sceneCamera_);
+      if (silent(lastSource_)) silence("source", sourceCamera_);
+    }
+    guide_.stop();
+    // Frames that were sent before a camera ended are judged; after any other end nobody waits.
+    summary_.scene = sceneCamera_.statistics();
+    summary_.source = sourceCamera_.statistics();
+  }
+  bool drain;
+  {
+    const std::lock_guard lock(mutex_);
+    drain = drain_ && !error_;
+  }
+  finish(drain);
+  if (!started) return tl::unexpected(started.error());
+  if (error_) return tl::unexpected(*error_);
+  if (lost_ && written_ == 0 && summary_.resumedFrom == 0) {
+    return failure(ErrorCode::kDevice, "{}; nothing was recorded", ended_);
+  }
+  report();
+  return summarise();
+}
+
+RecorderSummary Recording::summarise() {
+  summary_.ended = ended_;
+  summary_.recorded = written_;
+  summary_.captured = durable_;
+  summary_.directions = coverage_.grid().size();
+  summary_.coverage = coverage_.fraction();
+  summary_.seconds = toSeconds(Clock::now() - start_);
+  if (firstFrame_) summary_.timeZero = *firstFrame_ - fromSeconds(secondsBefore_);
+  summary_.droppedByQueues =
+      sceneQueue_.refused() + sourceQueue_.refused() + writeQueue_.refused();
+  return summary_;
+}
+
+// The cameras' model beside the frames, under the id that the frames name.
+Result<void> keepModel(const std::filesystem::path& sketchFolder, const CameraModel& model) {
+  const auto folder = sketchFolder / "calibration";
+  std::error_code error;
+  std::filesystem::create_directories(folder, error);
+  if (error) {
+    return failure(ErrorCode::kIo, "{}: cannot create: {}", folder.string(), error.message());
+  }
+  return saveCameraModel(model, folder / (checksum(cameraModelToJson(model).dump()) + ".json"));
+}
+
+Result<Sketch> openToGoOn(const std::filesystem::path& folder, const RecorderOptions& options,
+                          int width, int height) {
+  ASSIGN_OR_RETURN(auto sketch, Sketch::openForAppend(folder));
+  const SketchManifest& m = sketch.manifest();
+  if (m.width != width || m.height != height) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "{}: holds frames of {} x {}, the scene camera sends {} x {}; record to another "
+                   "folder",
+                   folder.string(), m.width, m.height, width, height);
+  }
+  if (m.directions != options.directions || m.fullSphere != options.fullSphere) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "{}: was begun with {} directions on the {}, now {} on the {} are asked for; use "
+                   "the same or another folder",
+                   folder.string(), m.directions, m.fullSphere ? "sphere" : "hemisphere",
+                   options.directions, options.fullSphere ? "sphere" : "hemisphere");
+  }
+  return sketch;
+}
+
+Json describe(const char* role, const CameraInfo& info) {
+  return {{"role", role}, {"address", info.address}, {"model", info.model}, {"serial", info.serial}};
+}
+
+}  // namespace
+
+std::string describe(Refusal refusal) {
+  switch (refusal) {
+    case Refusal::kNone: return "accepted";
+    case Refusal::kLampNotSeen: return "lamp not seen";
+    case Refusal::kLampTooFast: return "lamp too fast";
+    case Refusal::kSaturated: return "saturated";
+    case Refusal::kNotNew: return "direction not new";
+    case Refusal::kUnpaired: return "no source frames at its time";
+    case Refusal::kOutsideGrid: return "below the wanted directions";
+  }
+  return "unknown";
+}
+
+std::string RecorderSummary::describe() const {
+  std::string text = fmt::format(
+      "{} frames recorded in {:.0f} s ({}); {} of {} directions captured, {:.1f} %\n", recorded,
+      seconds, ended, captured, directions, 100 * coverage);
+  text += fmt::format("{} frames judged", offered);
+  const char* separator = "; refused: ";
+  for (const auto& [refusal, count] : refusals) {
+    text += fmt::format("{}{}: {}", separator, lightsketch::describe(refusal), count);
+    separator = ", ";
+  }
+  const auto link = [](const char* name, const StreamStatistics& s) {
+    return fmt::format("\n{} camera: {} frames, {} incomplete, {} lost; {} packets, {} missing, {} "
+                       "resent",
+                       name, s.delivered, s.incomplete, s.lost, s.packetsReceived, s.packetsMissing,
+                       s.packetsResent);
+  };
+  text += link("scene", scene) + link("source", source);
+  text += fmt::format("\n{} frames dropped because the program could not keep up\n",
+                      droppedByQueues);
+  return text;
+}
+
+Result<RecorderSummary> record(Camera& sceneCamera, Camera& sourceCamera,
+                               std::shared_ptr<const CameraModel> sourceModel,
+                               const RigGeometry& rig, const std::filesystem::path& sketchFolder,
+                               const RecorderOptions& options, Progress& progress,
+                               std::stop_token stop,
+                               std::function<void(const RecorderState&)> onState) {
+  RETURN_IF_ERROR(validate(options));
+  if (!sourceModel || rig.sourceCameras.empty()) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "a source camera's model and pose are needed; see --camera-model and --rig");
+  }
+  ASSIGN_OR_RETURN(auto grid, gridFor(options));
+
+  CameraSettings wanted;
+  wanted.framesPerSecond = options.framesPerSecond;
+  wanted.exposureSeconds = options.sourceExposureSeconds;
+  wanted.gainDb = options.sourceGainDb;
+  ASSIGN_OR_RETURN(const CameraSettings source, sourceCamera.configure(wanted));
+  if (source.region && (source.region->width != sourceModel->width() ||
+                        source.region->height != sourceModel->height())) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "source camera {} sends {} x {} pixels, but its model is for {} x {}",
+                   sourceCamera.info().address, source.region->width, source.region->height,
+                   sourceModel->width(), sourceModel->height());
+  }
+  wanted.exposureSeconds = options.sceneExposureSeconds;
+  wanted.gainDb = options.sceneGainDb;
+  wanted.format = options.sceneFormat;
+  ASSIGN_OR_RETURN(const CameraSettings scene, sceneCamera.configure(wanted));
+  if (!scene.region || !scene.exposureSeconds) {
+    return failure(ErrorCode::kDevice, "scene camera {} does not tell its region and exposure",
+                   sceneCamera.info().address);
+  }
+
+  const bool goOn = std::filesystem::exists(sketchFolder / "sketch.json");
+  SketchManifest manifest;
+  manifest.width = scene.region->width;
+  manifest.height = scene.region->height;
+  manifest.directions = options.directions;
+  manifest.fullSphere = options.fullSphere;
+  manifest.ambientSubtracted = options.subtractAmbient && options.ambientSeconds > 0;
+  manifest.software = "lightsketch 0.1.0";
+  manifest.cameras = Json::array(
+      {describe("scene", sceneCamera.info()), describe("source", sourceCamera.info())});
+  manifest.provenance = {{"method", "recorded"},
+                         {"referenceExposureSeconds", *scene.exposureSeconds},
+                         {"referenceGainDb", scene.gainDb.value_or(0)},
+                         {"demosaic", "Malvar, He and Cutler 2004"}};
+  auto opened = goOn ? openToGoOn(sketchFolder, options, manifest.width, manifest.height)
+                     : Sketch::create(sketchFolder, manifest, rig);
+  ASSIGN_OR_RETURN(Sketch sketch, std::move(opened));
+  RETURN_IF_ERROR(keepModel(sketchFolder, *sourceModel));
+
+  Coverage coverage(std::move(grid));
+  for (const int id : sketch.activeFrames()) {
+    coverage.add(sketch.frames()[static_cast<std::size_t>(id)].light.direction);
+  }
+  Recording recording(sceneCamera, sourceCamera, std::move(sourceModel), rig, options, progress,
+                      std::move(onState), std::move(sketch), std::move(coverage), scene);
+  if (goOn) RETURN_IF_ERROR(recording.resume());
+  return recording.run(stop);
+}
+
+}  // namespace lightsketch

@@ -1,0 +1,58 @@
+// The lamp at the scene frame's time, from source frames before and after it.
+#pragma once
+
+#include <Eigen/Core>
+#include <condition_variable>
+#include <deque>
+#include <mutex>
+#include <optional>
+
+#include "calibration/model/rig_geometry.h"
+#include "capture/tracker/lamp_tracker.h"
+#include "pipeline/sketch/light_direction.h"
+
+namespace lightsketch {
+
+// The lamp between two source frames, interpolated: nearest pairing alone costs half a degree for a
+// lamp at 28 degrees a second.
+struct PairedLamp {
+  LampObservation lamp;         // at the scene frame's time; confidence is the lower of both
+  double secondsToBefore = 0;   // from the source frame before to the scene frame
+  double secondsToAfter = 0;
+  double radiansPerSecond = 0;  // the lamp's speed at the source camera
+};
+
+enum class PairingFailure { kUnpaired, kLampNotSeen };
+
+// What the tracker said over the last seconds. Thread-safe: one thread adds, others ask.
+class ObservationHistory {
+ public:
+  void add(TimePoint time, std::optional<LampObservation> observation);
+  // No more will come.
+  void end();
+  // Waits until a source frame at or after `time` was tracked, the history has ended, or
+  // `patience` is over.
+  void waitFor(TimePoint time, Duration patience) const;
+  tl::expected<PairedLamp, PairingFailure> at(TimePoint time, Duration timeUncertainty,
+                                              double maxSeconds) const;
+  // The two latest frames, if the lamp was seen in both: newest last.
+  std::optional<std::pair<LampObservation, LampObservation>> latest() const;
+
+ private:
+  struct Entry {
+    TimePoint time;
+    std::optional<LampObservation> observation;
+  };
+  mutable std::mutex mutex_;  // Guards everything below.
+  mutable std::condition_variable changed_;
+  std::deque<Entry> entries_;
+  bool ended_ = false;
+};
+
+// From the source camera's view of the lamp to the light that falls on the subject. With a lamp
+// radius, the ray is cut with the sphere of that radius about the origin, and a twentieth of it is
+// taken as its one-sigma uncertainty (parallax costs 5 degrees otherwise: the camera stands beside
+// the subject). Without, or where the ray misses the sphere, the lamp is taken to be far away.
+LightDirection lightAtSubject(const LampObservation& lamp, const RigGeometry& rig);
+
+}  // namespace lightsketch
