@@ -117,8 +117,7 @@ std::optional<double> ssim8(const Image<std::uint8_t>& picture, const Image<std:
   return sum / static_cast<double>(meanA.size());
 }
 
-LinearError linearError(const RadianceImage& picture, const RadianceImage& truth,
-                        double exposure) {
+LinearError linearError(const RadianceImage& picture, const RadianceImage& truth, double exposure) {
   checkSameShape(picture, truth);
   double error = 0;
   double power = 0;
@@ -131,7 +130,8 @@ LinearError linearError(const RadianceImage& picture, const RadianceImage& truth
   LinearError result;
   result.psnr = psnrOf(error / static_cast<double>(truth.size()), 1 / exposure);
   if (error > 0) {
-    result.relative = power > 0 ? std::sqrt(error / power) : std::numeric_limits<double>::infinity();
+    result.relative =
+        power > 0 ? std::sqrt(error / power) : std::numeric_limits<double>::infinity();
   }
   return result;
 }

@@ -31,18 +31,6 @@ constexpr std::string_view kStyle = R"css(
     --accent: #7fb0ff; --mark: #3a3418;
   }
 }
-@media print {
-  :root {
-    color-scheme: light;
-    --paper: #ffffff; --panel: #f5f6f8; --ink: #000000; --soft: #444444; --line: #bbbbbb;
-    --accent: #000000; --mark: #ffffff;
-  }
-  body { font-size: 9.5pt; }
-  main { max-width: none; padding: 0; }
-  figure.light, .tile, table.facts, .map { break-inside: avoid; }
-  h2 { break-after: avoid; }
-  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
-}
 * { box-sizing: border-box; }
 html { scroll-behavior: smooth; }
 body {
@@ -66,11 +54,11 @@ code { font-family: ui-monospace, "DejaVu Sans Mono", monospace; font-size: 0.9e
 .where { display: grid; grid-template-columns: minmax(300px, 540px) minmax(260px, 1fr); gap: 36px; align-items: center; margin-top: 14px; }
 @media (max-width: 800px) { .where { grid-template-columns: 1fr; } }
 .map svg { width: 100%; height: auto; display: block; }
-.map text { fill: var(--soft); font-size: 12.5px; }
+.map text { fill: var(--soft); font-size: 12.5px; paint-order: stroke; stroke: var(--paper); stroke-width: 3px; stroke-linejoin: round; }
 .map .ring { fill: none; stroke: var(--line); }
 .map .rim { fill: var(--panel); stroke: var(--soft); }
 .map .hull { fill: none; stroke: var(--ink); stroke-opacity: 0.65; stroke-dasharray: 5 4; stroke-width: 1.3; }
-.map .captured { stroke: var(--ink); stroke-opacity: 0.38; stroke-linecap: round; fill: none; }
+.map .captured { stroke: var(--ink); stroke-opacity: 0.5; stroke-linecap: round; fill: none; }
 .map .dot { stroke: var(--paper); stroke-width: 1.4; }
 .map a:hover .dot, .map a:focus .dot { stroke: var(--ink); stroke-width: 2.4; }
 table { border-collapse: collapse; width: 100%; font-variant-numeric: tabular-nums; }
@@ -81,10 +69,11 @@ table.facts td { text-align: left; }
 table.facts td:first-child { color: var(--soft); width: 34%; }
 table.facts td:last-child { overflow-wrap: anywhere; }
 .wide { overflow-x: auto; }
+#lights td { white-space: nowrap; }
 #lights th { cursor: pointer; user-select: none; }
 #lights th[aria-sort=ascending]::after { content: " \25B2"; font-size: 9px; }
 #lights th[aria-sort=descending]::after { content: " \25BC"; font-size: 9px; }
-#lights td.name { overflow-wrap: anywhere; min-width: 9em; }
+#lights td.name { white-space: normal; overflow-wrap: anywhere; min-width: 9em; }
 .chip { display: inline-block; width: 11px; height: 11px; border-radius: 50%; margin-right: 7px; vertical-align: -1px; border: 1px solid rgba(0, 0, 0, 0.25); }
 figure.light { margin: 22px 0 30px; padding: 10px 12px 12px; border-radius: 10px; background: var(--panel); }
 figure.light > figcaption { display: flex; flex-wrap: wrap; gap: 2px 18px; align-items: baseline; margin-bottom: 8px; }
@@ -96,6 +85,27 @@ figure.light > figcaption strong { color: var(--ink); font-size: 16px; }
 :target { outline: 3px solid var(--accent); outline-offset: 2px; }
 tr:target { background: var(--mark); }
 footer { margin-top: 60px; color: var(--soft); font-size: 13px; border-top: 1px solid var(--line); padding-top: 12px; }
+@media print {
+  :root {
+    color-scheme: light;
+    --paper: #ffffff; --panel: #f5f6f8; --ink: #000000; --soft: #444444; --line: #bbbbbb;
+    --accent: #000000; --mark: #ffffff;
+  }
+  body { font-size: 9.5pt; }
+  main { max-width: none; padding: 0; }
+  figure.light, .tile, tr, .where, .together { break-inside: avoid; }
+  .tiles { grid-template-columns: repeat(3, 1fr); }
+  .where { grid-template-columns: 3fr 2fr; gap: 18px; }
+  .wide { overflow: visible; }
+  #lights { font-size: 7.5pt; }
+  #lights th, #lights td { padding: 3px 4px; }
+  h2 { margin-top: 26px; }
+  .where td, .where th { padding: 4px 5px; }
+  .where td:first-child { white-space: nowrap; }
+  figure.light { margin: 10px 0 12px; padding: 6px 8px; }
+  h2 { break-after: avoid; }
+  * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+}
 )css";
 
 // Sorting by a click on a column's head; the report reads well without.
@@ -119,12 +129,23 @@ std::string escaped(std::string_view text) {
   std::string out;
   for (const char c : text) {
     switch (c) {
-      case '&': out += "&amp;"; break;
-      case '<': out += "&lt;"; break;
-      case '>': out += "&gt;"; break;
-      case '"': out += "&quot;"; break;
-      case '\'': out += "&#39;"; break;
-      default: out += c;
+      case '&':
+        out += "&amp;";
+        break;
+      case '<':
+        out += "&lt;";
+        break;
+      case '>':
+        out += "&gt;";
+        break;
+      case '"':
+        out += "&quot;";
+        break;
+      case '\'':
+        out += "&#39;";
+        break;
+      default:
+        out += c;
     }
   }
   return out;
@@ -169,10 +190,12 @@ std::string withThousands(std::uint64_t value) {
 }
 
 std::string nameOf(const HeldOutLight& light) {
-  return light.origin.empty() ? std::string() : fmt::format("<code>{}</code>", escaped(light.origin));
+  return light.origin.empty() ? std::string()
+                              : fmt::format("<code>{}</code>", escaped(light.origin));
 }
 
-// --- Colour of a PSNR -----------------------------------------------------------------------------
+// --- Colour of a PSNR
+// -----------------------------------------------------------------------------
 
 // ColorBrewer 2 RdYlBu, five classes: readable with any colour vision; red is worst.
 struct Stop {
@@ -184,6 +207,7 @@ constexpr std::array<Stop, 5> kStops{
 struct ColourScale {
   double low = 0;
   double high = 1;
+  bool clipped = false;  // some lights are better than `high`
 
   std::string operator()(double value) const {
     const double t = std::clamp((value - low) / (high - low), 0.0, 1.0) * (kStops.size() - 1);
@@ -196,17 +220,19 @@ struct ColourScale {
   }
 };
 
-// From the worst light to the 95th percentile: one identical black picture must not eat the scale.
+// From the worst light to the best, but not beyond 15 dB over the median: a nearly black picture,
+// which any model predicts well, must not eat the scale.
 ColourScale scaleOf(const ValidationReport& report) {
-  const auto& ranks = report.worstFirst;
   ColourScale scale;
   scale.low = std::floor(report.worst().error.psnr);
-  scale.high = std::ceil(report.lights[ranks[(ranks.size() - 1) * 95 / 100]].error.psnr);
+  scale.high = std::ceil(std::min(report.best().error.psnr, report.median().error.psnr + 15));
   scale.high = std::max(scale.high, scale.low + 1);
+  scale.clipped = report.best().error.psnr > scale.high;
   return scale;
 }
 
-// --- The map over the hemisphere ------------------------------------------------------------------
+// --- The map over the hemisphere
+// ------------------------------------------------------------------
 
 constexpr double kMapRadius = 230;  // of the hemisphere's rim, in SVG units
 constexpr double kMapCentre = 300;
@@ -227,13 +253,13 @@ std::string map(const ValidationReport& report, const ColourScale& colour,
                 const std::unordered_set<std::size_t>& shown) {
   // Lights behind the subject: the whole sphere has to fit.
   const auto behind = [](const Eigen::Vector3d& d) { return d.z() < -0.05; };
-  const bool sphere =
-      std::ranges::any_of(report.capturedDirections, behind) ||
-      std::ranges::any_of(report.lights, behind, &HeldOutLight::direction);
+  const bool sphere = std::ranges::any_of(report.capturedDirections, behind) ||
+                      std::ranges::any_of(report.lights, behind, &HeldOutLight::direction);
   const double scale = sphere ? 1 / std::numbers::sqrt2 : 1;
 
   std::string svg =
-      "<svg viewBox=\"20 20 560 650\" role=\"img\" aria-label=\"PSNR over the light directions\">\n";
+      "<svg viewBox=\"30 34 540 600\" role=\"img\" aria-label=\"PSNR over the light "
+      "directions\">\n";
   for (const int degrees : {180, 150, 120, 90, 60, 30}) {
     if (degrees > 90 && !sphere) continue;
     const double radius = scale * mapRadius(Angle::degrees(degrees).radians());
@@ -242,7 +268,8 @@ std::string map(const ValidationReport& report, const ColourScale& colour,
                        radius);
   }
   for (const int degrees : {30, 60, 90}) {
-    const double at = scale * mapRadius(Angle::degrees(degrees).radians()) * std::numbers::sqrt2 / 2;
+    const double at =
+        scale * mapRadius(Angle::degrees(degrees).radians()) * std::numbers::sqrt2 / 2;
     svg += fmt::format("<text x=\"{:.1f}\" y=\"{:.1f}\">{}°</text>\n", kMapCentre + at + 3,
                        kMapCentre + at + 12, degrees);
   }
@@ -290,32 +317,33 @@ std::string map(const ValidationReport& report, const ColourScale& colour,
                        kStops[i].b);
   }
   svg += fmt::format(
-      "</linearGradient></defs>\n<rect x=\"150\" y=\"588\" width=\"300\" height=\"12\" rx=\"6\" "
+      "</linearGradient></defs>\n<rect x=\"150\" y=\"562\" width=\"300\" height=\"12\" rx=\"6\" "
       "fill=\"url(#scale)\"/>\n"
-      "<text x=\"150\" y=\"617\">{:.0f} dB, worse</text>"
-      "<text x=\"300\" y=\"617\" text-anchor=\"middle\">{:.1f}</text>"
-      "<text x=\"450\" y=\"617\" text-anchor=\"end\">better, {:.0f} dB</text>\n",
-      colour.low, (colour.low + colour.high) / 2, colour.high);
+      "<text x=\"150\" y=\"591\">{:.0f} dB, worse</text>"
+      "<text x=\"300\" y=\"591\" text-anchor=\"middle\">{:.1f}</text>"
+      "<text x=\"450\" y=\"591\" text-anchor=\"end\">better, {:.0f} dB{}</text>\n",
+      colour.low, (colour.low + colour.high) / 2, colour.high, colour.clipped ? " and more" : "");
   svg += fmt::format(
-      "<circle class=\"dot\" cx=\"112\" cy=\"645\" r=\"7\" fill=\"{}\"/>"
-      "<text x=\"124\" y=\"649\">held out</text>"
-      "<path class=\"captured\" stroke-width=\"5\" d=\"M222 645h0\"/>"
-      "<text x=\"232\" y=\"649\">captured, seen by the model</text>",
+      "<circle class=\"dot\" cx=\"112\" cy=\"618\" r=\"7\" fill=\"{}\"/>"
+      "<text x=\"124\" y=\"622\">held out</text>"
+      "<path class=\"captured\" stroke-width=\"5\" d=\"M222 618h0\"/>"
+      "<text x=\"232\" y=\"622\">captured, seen by the model</text>",
       colour((colour.low + colour.high) / 2));
   if (!report.hull.empty()) {
-    svg += "<path class=\"hull\" d=\"M424 645h30\"/><text x=\"462\" y=\"649\">their hull</text>";
+    svg += "<path class=\"hull\" d=\"M424 618h30\"/><text x=\"462\" y=\"622\">their hull</text>";
   }
   return svg + "\n</svg>\n";
 }
 
-// --- Pictures -------------------------------------------------------------------------------------
+// --- Pictures
+// -------------------------------------------------------------------------------------
 
 Result<std::string> pictureTag(const Image<std::uint8_t>& picture, std::string_view alt) {
   ASSIGN_OR_RETURN(const std::string png, encodePng(picture));
   return fmt::format(
       "<img{} width=\"{}\" height=\"{}\" alt=\"{}\" src=\"data:image/png;base64,{}\">",
-      picture.width() < 250 ? " class=\"small\"" : "", picture.width(), picture.height(),
-      alt, base64(png));
+      picture.width() < 250 ? " class=\"small\"" : "", picture.width(), picture.height(), alt,
+      base64(png));
 }
 
 Result<std::string> tripleTags(const PictureTriple& triple, std::string_view truth,
@@ -355,12 +383,13 @@ Result<std::string> lightFigure(const ValidationReport& report, const ShownLight
       light.nearestCapturedDegrees, pictures);
 }
 
-// --- Tables ---------------------------------------------------------------------------------------
+// --- Tables
+// ---------------------------------------------------------------------------------------
 
 std::string meanRow(std::string_view name, const MeanError& mean) {
   if (mean.count == 0) {
-    return fmt::format("<tr><td>{}</td><td>0</td><td>&ndash;</td><td>&ndash;</td><td>&ndash;</td></tr>\n",
-                       name);
+    return fmt::format(
+        "<tr><td>{}</td><td>0</td><td>&ndash;</td><td>&ndash;</td><td>&ndash;</td></tr>\n", name);
   }
   return fmt::format("<tr><td>{}</td><td>{}</td><td>{:.2f}</td><td>{}</td><td>{}</td></tr>\n", name,
                      mean.count, mean.psnr, ssimText(mean.ssim), percent(mean.relative));
@@ -390,8 +419,8 @@ std::string factRow(std::string_view name, std::string_view html) {
 }
 
 std::string tile(std::string_view value, std::string_view unit, std::string_view label) {
-  return fmt::format("<div class=\"tile\"><b>{}<small> {}</small></b><span>{}</span></div>\n", value,
-                     unit, label);
+  return fmt::format("<div class=\"tile\"><b>{}<small> {}</small></b><span>{}</span></div>\n",
+                     value, unit, label);
 }
 
 // The compression's own figures, whatever they are.
@@ -422,9 +451,9 @@ Result<std::string> html(const ValidationReport& report) {
       "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
       "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n"
       "<title>Validation of {0}</title>\n<style>{1}</style>\n</head>\n<body>\n<main>\n"
-      "<header>\n<h1>How well {0} relights</h1>\n"
+      "<header>\n<h1>How well &ldquo;{0}&rdquo; relights</h1>\n"
       "<p class=\"lead\">{2} of {3} captures were held back. The model, made from the other {4}, "
-      "predicts each of them with a mean PSNR of <strong>{5:.2f}&thinsp;dB</strong>; the worst "
+      "predicts them with a mean PSNR of <strong>{5:.2f}&thinsp;dB</strong>; the worst "
       "is at {6:.2f}, the best at {7:.2f}.</p>\n</header>\n",
       escaped(fileName(report.sketch)), kStyle, report.all.count,
       report.all.count + report.captured, report.captured, report.all.psnr,
@@ -436,20 +465,21 @@ Result<std::string> html(const ValidationReport& report) {
   page += tile(fmt::format("{:.2f}", 100 * report.all.relative), "%",
                "mean relative error in linear light");
   page += tile(fmt::format("{:.2f}", sum.sameLamps.psnr), "dB",
-               "superposition: many lamps at once against the sum of the captures");
+               "superposition, against the sum of the captures");
   if (report.size) {
     page += tile(fmt::format("{:.1f}", report.size->bitsPerPixel), "bit / pixel",
                  "of the model file, all lights together");
-    page += tile(fmt::format("{:.{}f}", report.size->ratioToHalf,
-                             report.size->ratioToHalf < 10 ? 2 : 0),
-                 ": 1", "smaller than the captures in half float");
+    page += tile(
+        fmt::format("{:.{}f}", report.size->ratioToHalf, report.size->ratioToHalf < 10 ? 2 : 0),
+        ": 1", "smaller than the captures in half float");
   }
   page += "</div>\n";
 
   page += "<section>\n<h2>Where the error is</h2>\n<div class=\"where\">\n<div class=\"map\">\n";
   page += map(report, colour, shown);
   page +=
-      "</div>\n<div>\n<p>The light directions as the subject sees them, in an equal-area projection: "
+      "</div>\n<div>\n<p>The light directions as the subject sees them, in an equal-area "
+      "projection: "
       "the centre is towards the viewer (+z), the circle at 90° grazes the picture plane. "
       "Each dot is a held-out light coloured by its PSNR; it leads to its pictures or its line in "
       "the table.</p>\n"
@@ -464,7 +494,8 @@ Result<std::string> html(const ValidationReport& report) {
       "means.</p>\n</div>\n</div>\n</section>\n";
 
   page += fmt::format(
-      "<section>\n<h2>Captured, relit, difference</h2>\n<p>{} of {} held-out lights, from the worst "
+      "<section>\n<h2>Captured, relit, difference</h2>\n<p>{} of {} held-out lights, from the "
+      "worst "
       "to the best by PSNR, at one common exposure{}{}. The difference is the absolute one of the "
       "8-bit pictures, times {}.</p>\n",
       report.shown.size(), report.lights.size(),
@@ -483,7 +514,8 @@ Result<std::string> html(const ValidationReport& report) {
 
   page +=
       "<section>\n<h2>Every held-out light</h2>\n<p class=\"soft\">Worst first; a click on a "
-      "column's head sorts by it. The directions point from the subject to the lamp (x right, y up, "
+      "column's head sorts by it. The directions point from the subject to the lamp (x right, y "
+      "up, "
       "z towards the viewer).</p>\n<div class=\"wide\">\n<table id=\"lights\">\n<thead><tr>"
       "<th>light</th><th class=\"left\">file</th><th>x</th><th>y</th><th>z</th><th>hull</th>"
       "<th>nearest<br>capture</th><th aria-sort=\"ascending\">PSNR<br>dB</th><th>SSIM</th>"
@@ -496,7 +528,8 @@ Result<std::string> html(const ValidationReport& report) {
   ASSIGN_OR_RETURN(const std::string sumPictures,
                    tripleTags(sum.pictures, "weighted sum of the captures", "one relit picture"));
   page += fmt::format(
-      "<section>\n<h2>Superposition</h2>\n<p>Light adds up, so one picture relit under a whole "
+      "<section>\n<div class=\"together\">\n<h2>Superposition</h2>\n<p>Light adds up, so one "
+      "picture relit under a whole "
       "environment must equal the sum of the captures, each weighted by the light that falls into "
       "its Voronoi cell. Environment: <code>{}</code>. The cells of the {} captures cover "
       "{:.2f}&thinsp;sr ({:.0f}&thinsp;% of a hemisphere).</p>\n<figure class=\"light\">\n"
@@ -506,8 +539,10 @@ Result<std::string> html(const ValidationReport& report) {
       100 * sum.coveredSolidAngle / (2 * std::numbers::pi), psnrText(sum.sameLamps),
       sum.sameLamps.identical ? "" : " dB", ssimText(sum.sameLamps.ssim),
       percent(sum.sameLamps.relative), sumPictures);
-  page += "<table>\n<thead><tr><th>against the sum of the captures</th><th>PSNR<br>dB</th>"
-          "<th>SSIM</th><th>relative<br>error</th></tr></thead>\n<tbody>\n";
+  page += "</div>\n";
+  page +=
+      "<table>\n<thead><tr><th>against the sum of the captures</th><th>PSNR<br>dB</th>"
+      "<th>SSIM</th><th>relative<br>error</th></tr></thead>\n<tbody>\n";
   const auto sumRow = [](std::string_view name, const PictureError& error) {
     return fmt::format("<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>\n", name,
                        psnrText(error), ssimText(error.ssim), percent(error.relative));
@@ -516,7 +551,8 @@ Result<std::string> html(const ValidationReport& report) {
   page += sumRow("the model integrating the environment over its own lights&#8217; cells",
                  sum.ownCells);
   page += fmt::format(
-      "</tbody>\n</table>\n<p class=\"soft\">Linearity: two coloured lamps together differ from the "
+      "</tbody>\n</table>\n<p class=\"soft\">Linearity: two coloured lamps together differ from "
+      "the "
       "sum of their pictures by at most {:.1e} of the largest value, which is rounding.</p>\n"
       "</section>\n",
       sum.linearity);
@@ -532,41 +568,46 @@ Result<std::string> html(const ValidationReport& report) {
                                                escaped(report.holdOutRule)));
   page += factRow("made from", fmt::format("{} captures, held as {} lights", report.captured,
                                            report.modelLights));
-  page += factRow("factorisation",
-                  fmt::format("blocks of {0} &times; {0} pixels, {1} basis pictures in all, {2} "
-                              "coefficients per light and colour; stored as {3}",
-                              report.blockSize, withThousands(
-                                  static_cast<std::uint64_t>(report.basisRows)),
-                              report.rank, report.storage));
+  page += factRow(
+      "factorisation",
+      fmt::format("blocks of {0} &times; {0} pixels, {1} basis pictures in all, {2} "
+                  "coefficients per light and colour; stored as {3}",
+                  report.blockSize, withThousands(static_cast<std::uint64_t>(report.basisRows)),
+                  report.rank, report.storage));
   page += factRow("between the lights", escaped(report.interpolation));
   if (report.size) {
-    page += factRow("file",
-                    fmt::format("{} bytes, {:.2f} bits per pixel; {:.2f} : 1 of the captures in half "
-                                "float, {:.2f} : 1 in float",
-                                withThousands(report.size->bytes), report.size->bitsPerPixel,
-                                report.size->ratioToHalf, report.size->ratioToFloat));
+    page += factRow(
+        "file", fmt::format("{} bytes, {:.2f} bits per pixel; {:.2f} : 1 of the captures in half "
+                            "float, {:.2f} : 1 in float",
+                            withThousands(report.size->bytes), report.size->bitsPerPixel,
+                            report.size->ratioToHalf, report.size->ratioToFloat));
   }
   page += factRow("software", escaped(report.software));
   page += noteRows(report.modelNotes);
   page += "</tbody>\n</table>\n</section>\n";
 
   page += fmt::format(
-      "<section>\n<h2>What the figures mean</h2>\n<table class=\"facts\">\n<tbody>\n{}{}{}{}</tbody>\n"
+      "<section>\n<h2>What the figures mean</h2>\n<table "
+      "class=\"facts\">\n<tbody>\n{}{}{}{}</tbody>\n"
       "</table>\n</section>\n"
       "<footer>Every figure stands in <code>report.json</code>, the lights also in "
       "<code>lights.csv</code>, beside this file.</footer>\n</main>\n<script>{}</script>\n</body>\n"
       "</html>\n",
-      factRow("PSNR", fmt::format("Radiance times {:g}, sRGB-encoded, rounded and clipped to 8 bits; "
-                                  "mean squared error over all pixels and channels against a peak of "
-                                  "255. Identical pictures count as 100 dB.",
-                                  report.exposure)),
-      factRow("SSIM", "Wang, Bovik, Sheikh, Simoncelli 2004: 11 &times; 11 Gaussian windows of sigma "
-                      "1.5, K1 = 0.01, K2 = 0.03, on the luma of the same 8-bit pictures. 1 is "
-                      "identical."),
-      factRow("relative error", "Root mean square of the error over that of the truth, in linear "
-                                "light, nothing clipped."),
-      factRow("linear PSNR", "In linear light, nothing clipped, against the radiance that shows as "
-                             "white."),
+      factRow("PSNR",
+              fmt::format("Radiance times {:g}, sRGB-encoded, rounded and clipped to 8 bits; "
+                          "mean squared error over all pixels and channels against a peak of "
+                          "255. Identical pictures count as 100 dB.",
+                          report.exposure)),
+      factRow("SSIM",
+              "Wang, Bovik, Sheikh, Simoncelli 2004: 11 &times; 11 Gaussian windows of sigma "
+              "1.5, K1 = 0.01, K2 = 0.03, on the luma of the same 8-bit pictures. 1 is "
+              "identical."),
+      factRow("relative error",
+              "Root mean square of the error over that of the truth, in linear "
+              "light, nothing clipped."),
+      factRow("linear PSNR",
+              "In linear light, nothing clipped, against the radiance that shows as "
+              "white."),
       kScript);
   return page;
 }

@@ -10,11 +10,13 @@
 #include <limits>
 #include <numbers>
 #include <numeric>
+#include <set>
 #include <span>
 #include <string_view>
 
 #include "capture/frame/angle.h"
 #include "capture/frame/srgb.h"
+#include "pipeline/compress/compress.h"
 #include "pipeline/compress/hold_out.h"
 #include "pipeline/illumination/direction_interpolation.h"
 #include "pipeline/illumination/illumination.h"
@@ -121,21 +123,19 @@ PictureTriple tripleOf(const RadianceImage& picture, const RadianceImage& truth,
           std::move(smallDifference)};
 }
 
-// The value below which 99 percent of the picture's luminances lie.
-double brightLuminance(const RadianceImage& picture) {
-  std::vector<float> luminance(picture.size() / 3);
-  for (std::size_t i = 0; i < luminance.size(); ++i) {
+// The value below which 99 percent of the pixels' largest channels lie.
+double brightValue(const RadianceImage& picture) {
+  std::vector<float> largest(picture.size() / 3);
+  for (std::size_t i = 0; i < largest.size(); ++i) {
     const float* p = picture.data() + 3 * i;
-    luminance[i] = kRec709Luma[0] * p[0] + kRec709Luma[1] * p[1] + kRec709Luma[2] * p[2];
+    largest[i] = std::max({p[0], p[1], p[2]});
   }
-  const auto at = luminance.begin() + static_cast<std::ptrdiff_t>((luminance.size() - 1) * 99 / 100);
-  std::nth_element(luminance.begin(), at, luminance.end());
+  const auto at = largest.begin() + static_cast<std::ptrdiff_t>((largest.size() - 1) * 99 / 100);
+  std::nth_element(largest.begin(), at, largest.end());
   return double{*at};
 }
 
-double exposureToShow(double luminance) {
-  return luminance > 0 ? double{srgbDecode(0.9f)} / luminance : 1;
-}
+double exposureToShow(double value) { return value > 0 ? double{srgbDecode(0.9f)} / value : 1; }
 
 // Outline of the hull as the interpolator understands it: from the directions' mean outwards, where
 // "inside" ends. Empty if there is no such border (lights all around, or too few).
@@ -177,23 +177,25 @@ Result<void> checkModelFits(const Sketch& sketch, const RelightableModel& model,
   }
   if (model.layout.width != sketch.manifest().width ||
       model.layout.height != sketch.manifest().height) {
-    return failure(ErrorCode::kInvalidArgument,
-                   "validate: the model is {} x {} pixels, the sketch {} x {}; give the sketch that "
-                   "the model was made from",
-                   model.layout.width, model.layout.height, sketch.manifest().width,
-                   sketch.manifest().height);
+    return failure(
+        ErrorCode::kInvalidArgument,
+        "validate: the model is {} x {} pixels, the sketch {} x {}; give the sketch that "
+        "the model was made from",
+        model.layout.width, model.layout.height, sketch.manifest().width, sketch.manifest().height);
   }
   if (model.capturedIds.empty() || model.capturedIds.size() != model.capturedDirections.size()) {
     return failure(ErrorCode::kInvalidArgument,
                    "validate: the model does not say which frames it was made from; compress the "
                    "sketch again");
   }
-  for (const int id : holdOut.heldOut) {
-    if (std::ranges::find(model.capturedIds, id) != model.capturedIds.end()) {
-      return failure(ErrorCode::kInvalidArgument,
-                     "validate: the model has seen frame {}, which '{}' holds out; compress the "
-                     "sketch again with --hold-out {}",
-                     id, holdOut.rule, holdOut.rule);
+  for (const auto* kept : {&holdOut.heldOut, &holdOut.margin}) {
+    for (const int id : *kept) {
+      if (std::ranges::find(model.capturedIds, id) == model.capturedIds.end()) continue;
+      return failure(
+          ErrorCode::kInvalidArgument,
+          "validate: the model has seen frame {}, which '{}' keeps from it; compress the "
+          "sketch again with --hold-out {}",
+          id, holdOut.rule, holdOut.rule);
     }
   }
   if (!(options.exposure > 0) || options.pictures < 1) {
@@ -295,7 +297,7 @@ Result<Superposition> superpose(const Sketch& sketch, const RelightableModel& mo
   ASSIGN_OR_RETURN(const LightIntensities weights,
                    intensitiesOf(environment, model.capturedDirections));
   ASSIGN_OR_RETURN(const RadianceImage truth, weightedSum(captures, weights, progress));
-  result.exposure = exposureToShow(brightLuminance(truth));
+  result.exposure = exposureToShow(brightValue(truth));
 
   LightIntensities sameLamps = LightIntensities::Zero(model.lightCount(), 3);
   for (std::size_t i = 0; i < model.capturedDirections.size(); ++i) {
@@ -319,19 +321,14 @@ Result<Superposition> superpose(const Sketch& sketch, const RelightableModel& mo
 }
 
 // `count` positions among `total` ranks: first, last, the median and the rest evenly between.
-std::vector<std::size_t> spreadRanks(std::size_t total, std::size_t count) {
-  std::vector<std::size_t> ranks{0, (total - 1) / 2, total - 1};
-  if (count >= total) {
-    ranks.resize(total);
-    std::iota(ranks.begin(), ranks.end(), std::size_t{0});
-  } else {
-    for (std::size_t i = 1; ranks.size() < count && i + 1 < count; ++i) {
-      ranks.push_back(i * (total - 1) / (count - 1));
-    }
+std::set<std::size_t> spreadRanks(std::size_t total, std::size_t count) {
+  std::set<std::size_t> ranks;
+  for (const std::size_t rank : {std::size_t{0}, total - 1, (total - 1) / 2}) {
+    if (ranks.size() < count) ranks.insert(rank);
   }
-  std::ranges::sort(ranks);
-  const auto repeated = std::ranges::unique(ranks);
-  ranks.erase(repeated.begin(), repeated.end());
+  for (std::size_t i = 1; i < count && ranks.size() < std::min(count, total); ++i) {
+    ranks.insert(i * (total - 1) / count);
+  }
   return ranks;
 }
 
@@ -401,8 +398,7 @@ Result<ValidationReport> validate(const Sketch& sketch, const RelightableModel& 
   ASSIGN_OR_RETURN(const HoldOut holdOut, applyHoldOut(sketch, rule));
   RETURN_IF_ERROR(checkModelFits(sketch, model, options, holdOut));
   ASSIGN_OR_RETURN(const auto truths, LightStack::create(sketch, holdOut.heldOut));
-  ASSIGN_OR_RETURN(const auto interpolator,
-                   DirectionInterpolator::create(model.lights, model.interpolation));
+  ASSIGN_OR_RETURN(const auto interpolator, interpolatorFor(model));
   // Only for its hull: the model's own lights may be a denser and wider grid.
   ASSIGN_OR_RETURN(const auto captured,
                    DirectionInterpolator::create(model.capturedDirections, {}));
@@ -441,7 +437,8 @@ Result<ValidationReport> validate(const Sketch& sketch, const RelightableModel& 
     return relight(model, intensitiesAt(interpolator, direction));
   };
   RETURN_IF_ERROR(forEach(
-      report.lights.size(), "comparing held-out lights", progress, [&](std::size_t i) -> Result<void> {
+      report.lights.size(), "comparing held-out lights", progress,
+      [&](std::size_t i) -> Result<void> {
         HeldOutLight& light = report.lights[i];
         light.id = holdOut.heldOut[i];
         light.origin = sketch.frames()[static_cast<std::size_t>(light.id)].origin;
@@ -451,8 +448,7 @@ Result<ValidationReport> validate(const Sketch& sketch, const RelightableModel& 
         for (const auto& other : model.capturedDirections) {
           closest = std::max(closest, other.dot(light.direction));
         }
-        light.nearestCapturedDegrees =
-            Angle::radians(std::acos(std::min(1.0, closest))).degrees();
+        light.nearestCapturedDegrees = Angle::radians(std::acos(std::min(1.0, closest))).degrees();
         ASSIGN_OR_RETURN(const RadianceImage truth, truths.read(static_cast<int>(i)));
         ASSIGN_OR_RETURN(const RadianceImage picture, predict(light.direction));
         light.error = compare(picture, truth, options.exposure);
@@ -469,7 +465,8 @@ Result<ValidationReport> validate(const Sketch& sketch, const RelightableModel& 
   // The pictures to show, all at one exposure: dark sets are brightened, none is darkened.
   report.pictureShrink =
       (std::max(report.width, report.height) + kLongestShownSide - 1) / kLongestShownSide;
-  const auto ranks = spreadRanks(report.lights.size(), static_cast<std::size_t>(options.pictures));
+  const auto spread = spreadRanks(report.lights.size(), static_cast<std::size_t>(options.pictures));
+  const std::vector<std::size_t> ranks(spread.begin(), spread.end());
   std::vector<RadianceImage> shownTruths(ranks.size());
   std::vector<RadianceImage> shownPictures(ranks.size());
   double bright = 0;
@@ -477,18 +474,17 @@ Result<ValidationReport> validate(const Sketch& sketch, const RelightableModel& 
     const std::size_t light = report.worstFirst[ranks[i]];
     ASSIGN_OR_RETURN(shownTruths[i], truths.read(static_cast<int>(light)));
     ASSIGN_OR_RETURN(shownPictures[i], predict(report.lights[light].direction));
-    bright = std::max(bright, brightLuminance(shownTruths[i]));
+    bright = std::max(bright, brightValue(shownTruths[i]));
     report.shown.push_back({light, {}});
   }
   report.pictureExposure = std::max(options.exposure, exposureToShow(bright));
   for (std::size_t i = 0; i < ranks.size(); ++i) {
-    report.shown[i].pictures = tripleOf(shownPictures[i], shownTruths[i], report.pictureExposure,
-                                        report.pictureShrink);
+    report.shown[i].pictures =
+        tripleOf(shownPictures[i], shownTruths[i], report.pictureExposure, report.pictureShrink);
   }
 
-  ASSIGN_OR_RETURN(report.superposition,
-                   superpose(sketch, model, interpolator, options, report.lights,
-                             report.pictureShrink, progress));
+  ASSIGN_OR_RETURN(report.superposition, superpose(sketch, model, interpolator, options,
+                                                   report.lights, report.pictureShrink, progress));
   return report;
 }
 
@@ -507,19 +503,19 @@ std::string ValidationReport::describe() const {
   text += meanLine("  inside the hull", inside);
   text += meanLine("  outside the hull", outside);
   const auto lightLine = [&](const char* name, const HeldOutLight& light) {
-    return fmt::format("{:<22}{:>7}{:>11.2f}{:>8}{:>11.2f}%\n", name,
-                       fmt::format("#{}", light.id), light.error.psnr, ssimText(light.error.ssim),
-                       100 * light.error.relative);
+    return fmt::format("{:<22}{:>7}{:>11.2f}{:>8}{:>11.2f}%\n", name, fmt::format("#{}", light.id),
+                       light.error.psnr, ssimText(light.error.ssim), 100 * light.error.relative);
   };
   text += lightLine("worst", worst());
   text += lightLine("median", median());
   text += lightLine("best", best());
-  text += fmt::format("{:<22}{:>7}{:>11.2f}{:>8}{:>11.2f}%\n", "sum of captures",
-                      captured, superposition.sameLamps.psnr, ssimText(superposition.sameLamps.ssim),
+  text += fmt::format("{:<22}{:>7}{:>11.2f}{:>8}{:>11.2f}%\n", "sum of captures", captured,
+                      superposition.sameLamps.psnr, ssimText(superposition.sameLamps.ssim),
                       100 * superposition.sameLamps.relative);
   if (size) {
-    text += fmt::format("model                 {} bytes, {:.1f} bits per pixel, {:.0f}:1 of half float\n",
-                        size->bytes, size->bitsPerPixel, size->ratioToHalf);
+    text += fmt::format(
+        "model                 {} bytes, {:.1f} bits per pixel, {:.0f}:1 of half float\n",
+        size->bytes, size->bitsPerPixel, size->ratioToHalf);
   }
   return text;
 }
@@ -536,40 +532,39 @@ Json toJson(const ValidationReport& report) {
     lights.push_back(std::move(entry));
   }
   const Superposition& sum = report.superposition;
-  Json json = {
-      {"format", "lightsketch-validation"},
-      {"formatVersion", 1},
-      {"sketch", report.sketch},
-      {"holdOut", report.holdOutRule},
-      {"exposure", report.exposure},
-      {"psnrCapDb", kPsnrCap},
-      {"model",
-       {{"file", report.model},
-        {"software", report.software},
-        {"width", report.width},
-        {"height", report.height},
-        {"captures", report.captured},
-        {"lights", report.modelLights},
-        {"rank", report.rank},
-        {"basisRows", report.basisRows},
-        {"blockSize", report.blockSize},
-        {"storage", report.storage},
-        {"interpolation", report.interpolation},
-        {"notes", report.modelNotes}}},
-      {"mean", toJson(report.all)},
-      {"insideHull", toJson(report.inside)},
-      {"outsideHull", toJson(report.outside)},
-      {"worst", report.worst().id},
-      {"median", report.median().id},
-      {"best", report.best().id},
-      {"superposition",
-       {{"environment", sum.environment},
-        {"exposure", sum.exposure},
-        {"sameLamps", toJson(sum.sameLamps)},
-        {"ownCells", toJson(sum.ownCells)},
-        {"coveredSteradians", sum.coveredSolidAngle},
-        {"linearity", sum.linearity}}},
-      {"lights", std::move(lights)}};
+  Json json = {{"format", "lightsketch-validation"},
+               {"formatVersion", 1},
+               {"sketch", report.sketch},
+               {"holdOut", report.holdOutRule},
+               {"exposure", report.exposure},
+               {"psnrCapDb", kPsnrCap},
+               {"model",
+                {{"file", report.model},
+                 {"software", report.software},
+                 {"width", report.width},
+                 {"height", report.height},
+                 {"captures", report.captured},
+                 {"lights", report.modelLights},
+                 {"rank", report.rank},
+                 {"basisRows", report.basisRows},
+                 {"blockSize", report.blockSize},
+                 {"storage", report.storage},
+                 {"interpolation", report.interpolation},
+                 {"notes", report.modelNotes}}},
+               {"mean", toJson(report.all)},
+               {"insideHull", toJson(report.inside)},
+               {"outsideHull", toJson(report.outside)},
+               {"worst", report.worst().id},
+               {"median", report.median().id},
+               {"best", report.best().id},
+               {"superposition",
+                {{"environment", sum.environment},
+                 {"exposure", sum.exposure},
+                 {"sameLamps", toJson(sum.sameLamps)},
+                 {"ownCells", toJson(sum.ownCells)},
+                 {"coveredSteradians", sum.coveredSolidAngle},
+                 {"linearity", sum.linearity}}},
+               {"lights", std::move(lights)}};
   if (report.size) {
     json["size"] = {{"bytes", report.size->bytes},
                     {"bitsPerPixel", report.size->bitsPerPixel},

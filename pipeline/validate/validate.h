@@ -24,7 +24,7 @@ struct ValidateOptions {
   std::string environmentName;
   std::filesystem::path modelFile;  // for bytes and bits per pixel; empty: no size is reported
   double exposure = 1;              // factor on radiance before it becomes 8-bit sRGB
-  int pictures = 12;                // held-out lights that the report shows, worst to best
+  int pictures = 9;                 // held-out lights that the report shows, worst to best
 };
 
 // The sky used where no environment is given, lat-long: blue overhead, a warm horizon and a soft
@@ -32,19 +32,19 @@ struct ValidateOptions {
 RadianceImage analyticSky();
 
 struct PictureError {
-  double psnr = 0;            // 8-bit sRGB, see psnr8
-  std::optional<double> ssim; // see ssim8
-  double relative = 0;        // linear light, see linearError
+  double psnr = 0;             // 8-bit sRGB, see psnr8
+  std::optional<double> ssim;  // see ssim8
+  double relative = 0;         // linear light, see linearError
   double linearPsnr = 0;
-  bool identical = false;     // not one 8-bit sample differs
+  bool identical = false;  // not one 8-bit sample differs
 };
 
 struct HeldOutLight {
   int id = 0;          // in the sketch
   std::string origin;  // imported file name, if any
   Eigen::Vector3d direction = Eigen::Vector3d::UnitZ();
-  bool insideHull = false;             // of the captured directions
-  double nearestCapturedDegrees = 0;   // to the closest direction that the model was made from
+  bool insideHull = false;            // of the captured directions
+  double nearestCapturedDegrees = 0;  // to the closest direction that the model was made from
   PictureError error;
 };
 
@@ -73,14 +73,14 @@ struct ShownLight {
 // The model's picture under an environment against the weighted sum of the original captures.
 struct Superposition {
   std::string environment;
-  double exposure = 1;  // chosen so that the 99th percentile of the sum shows as 90 percent grey
+  double exposure = 1;  // chosen so that 99 percent of the sum's values show as 90 percent or less
   // The model lit by the same lamps: one per capture, as strong as its Voronoi cell is bright.
   PictureError sameLamps;
   // The model integrating the environment, as far as the captures cover it, over its own lights'
   // cells.
   PictureError ownCells;
   double coveredSolidAngle = 0;  // by the captures' cells, steradians
-  PictureTriple pictures;  // of sameLamps
+  PictureTriple pictures;        // of sameLamps
   // relight(s1 + s2) against relight(s1) + relight(s2), largest difference as a part of the largest
   // value.
   double linearity = 0;
@@ -89,7 +89,7 @@ struct Superposition {
 struct ModelSize {
   std::uint64_t bytes = 0;
   double bitsPerPixel = 0;
-  double ratioToHalf = 0;   // training captures as half-float RGB / bytes
+  double ratioToHalf = 0;  // training captures as half-float RGB / bytes
   double ratioToFloat = 0;
 };
 
@@ -97,12 +97,12 @@ struct ValidationReport {
   std::string sketch;
   std::string model;  // file name
   std::string holdOutRule;
-  std::string software;        // that made the model
+  std::string software;  // that made the model
   std::string interpolation;
-  Json modelNotes;             // figures of the compression
+  Json modelNotes;  // figures of the compression
   int width = 0;
   int height = 0;
-  int captured = 0;            // images the model was made from
+  int captured = 0;  // images the model was made from
   int modelLights = 0;
   int rank = 0;
   std::int64_t basisRows = 0;  // sum of the blocks' ranks
@@ -110,8 +110,8 @@ struct ValidationReport {
   std::string storage;
   double exposure = 1;
 
-  std::vector<HeldOutLight> lights;      // by id
-  std::vector<std::size_t> worstFirst;   // indices into lights, by PSNR
+  std::vector<HeldOutLight> lights;     // by id
+  std::vector<std::size_t> worstFirst;  // indices into lights, by PSNR
   MeanError all;
   MeanError inside;
   MeanError outside;

@@ -71,7 +71,8 @@ TEST(Ssim, AgreesWithItsDefinitionWindowByWindow) {
   auto picture = truth;
   std::mt19937 random(3);
   for (auto& value : picture.values()) {
-    value = static_cast<std::uint8_t>(std::clamp(int{value} + static_cast<int>(random() % 81) - 40, 0, 255));
+    value = static_cast<std::uint8_t>(
+        std::clamp(int{value} + static_cast<int>(random() % 81) - 40, 0, 255));
   }
   const auto value = ssim8(picture, truth);
   ASSERT_TRUE(value);
@@ -86,8 +87,8 @@ TEST(Ssim, OfFlatPicturesIsTheLuminanceTermAlone) {
   // No variance: (2 ab + C1) / (a^2 + b^2 + C1), C1 = (0.01 255)^2 = 6.5025.
   const Image<std::uint8_t> a(12, 12, 3, 100);
   const Image<std::uint8_t> b(12, 12, 3, 150);
-  EXPECT_NEAR(ssim8(a, b).value(), (2 * 100.0 * 150 + 6.5025) / (100.0 * 100 + 150.0 * 150 + 6.5025),
-              1e-9);
+  EXPECT_NEAR(ssim8(a, b).value(),
+              (2 * 100.0 * 150 + 6.5025) / (100.0 * 100 + 150.0 * 150 + 6.5025), 1e-9);
 }
 
 TEST(Ssim, OfIdenticalPicturesIsOneAndOfTinyOnesUnknown) {

@@ -33,8 +33,7 @@ class Report : public ::testing::Test {
   static constexpr const char* kHostile = "<script>alert('x')</script>&\"";
 
   void SetUp() override {
-    const Sketch sketch =
-        makeSketch(folder_.path() / "a<b>\"c", mattePicture, 24, kHostile);
+    const Sketch sketch = makeSketch(folder_.path() / "a<b>\"c", mattePicture, 24, kHostile);
     RelightableModel model = exactModel(sketch, mattePicture, "every:8:4");
     model.V *= 1.02f;  // so that something differs
     model.software = "<img src=x onerror=alert(1)>";
@@ -90,8 +89,8 @@ TEST_F(Report, NeedsNothingFromOutside) {
   EXPECT_EQ(countOf(page, "<link"), 0);
   EXPECT_EQ(countOf(page, "@import"), 0);
   EXPECT_EQ(countOf(page, "url("), countOf(page, "url(#"));
-  EXPECT_EQ(countOf(page, " src="), countOf(page, " src=\"data:image/png;base64,") +
-                                        countOf(page, "&lt;img src=x"));
+  EXPECT_EQ(countOf(page, " src="),
+            countOf(page, " src=\"data:image/png;base64,") + countOf(page, "&lt;img src=x"));
 }
 
 TEST_F(Report, EmbedsWholePngFiles) {

@@ -95,9 +95,8 @@ TEST_F(Validate, SumsLightsByHullAndRank) {
   EXPECT_NEAR(report->all.psnr, sum / 5, 1e-9);
   ASSERT_GT(report->inside.count, 0);
   EXPECT_NEAR(report->inside.psnr, inside / report->inside.count, 1e-9);
-  EXPECT_TRUE(std::ranges::is_sorted(report->worstFirst, {}, [&](std::size_t i) {
-    return report->lights[i].error.psnr;
-  }));
+  EXPECT_TRUE(std::ranges::is_sorted(report->worstFirst, {},
+                                     [&](std::size_t i) { return report->lights[i].error.psnr; }));
   EXPECT_LT(report->worst().error.psnr, report->best().error.psnr);
   EXPECT_EQ(&report->median(), &report->lights[report->worstFirst[2]]);
 }
@@ -220,7 +219,8 @@ TEST_F(Validate, DescribesItselfInAFewAlignedLines) {
   const auto report = run(model_);
   ASSERT_TRUE(report);
   const std::string text = report->describe();
-  for (const char* part : {"mean", "inside the hull", "outside the hull", "worst", "median", "best"}) {
+  for (const char* part :
+       {"mean", "inside the hull", "outside the hull", "worst", "median", "best"}) {
     EXPECT_NE(text.find(part), std::string::npos) << part;
   }
   EXPECT_LT(std::ranges::count(text, '\n'), 12);
