@@ -20,6 +20,9 @@
 
 namespace lightsketch {
 
+// Name and version, as files say who wrote them.
+inline const std::string kSoftware = std::string("lightsketch ") + LIGHTSKETCH_VERSION;
+
 struct JobResult {
   std::string text;  // for people, some lines
   Json figures;      // the same and more for programs
@@ -55,6 +58,7 @@ Result<JobResult> importJob(const ImportOptions& job, Progress& progress);
 struct ExportJob {
   std::filesystem::path sketch;
   std::string format = "lp";
+  ExportLpOptions lp;
   std::filesystem::path out;
 };
 Result<JobResult> exportJob(const ExportJob& job, Progress& progress);

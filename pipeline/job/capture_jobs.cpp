@@ -1,0 +1,137 @@
+// Cameras, the simulated rig, recording.
+#include <thread>
+#include <utility>
+
+#include "capture/device/camera.h"
+#include "pipeline/job/jobs.h"
+#include "pipeline/job/record_on.h"
+
+namespace lightsketch {
+namespace {
+
+// A source camera at the subject that looks at the viewer, its picture's top up: its x points left
+// in the scene frame.
+Eigen::Isometry3d uprightAtSubject() {
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  pose.linear() = Eigen::Vector3d(-1, -1, 1).asDiagonal();
+  return pose;
+}
+
+Result<RecorderSummary> recordFrom(const RecordJob& job,
+                                   const std::shared_ptr<const CameraModel>& model,
+                                   const RigGeometry& geometry, Progress& progress,
+                                   std::stop_token stop,
+                                   const std::function<void(const RecorderState&)>& onState) {
+  ASSIGN_OR_RETURN(const auto scene, openCamera(job.sceneCamera));
+  ASSIGN_OR_RETURN(const auto source, openCamera(job.sourceCamera));
+  return record(*scene, *source, model, geometry, job.sketch, job.recorder, progress,
+                std::move(stop), onState);
+}
+
+JobResult resultOf(const RecordJob& job, const RecorderSummary& summary) {
+  Json refusals = Json::object();
+  for (const auto& [refusal, count] : summary.refusals) refusals[describe(refusal)] = count;
+  const auto linkToJson = [](const StreamStatistics& link) {
+    return Json{{"delivered", link.delivered},
+                {"incomplete", link.incomplete},
+                {"lost", link.lost},
+                {"packetsReceived", link.packetsReceived},
+                {"packetsMissing", link.packetsMissing},
+                {"packetsResent", link.packetsResent}};
+  };
+  return {fmt::format("{}: {}", job.sketch.string(), summary.describe()),
+          {{"recorded", summary.recorded},
+           {"offered", summary.offered},
+           {"coverage", summary.coverage},
+           {"seconds", summary.seconds},
+           {"refusals", refusals},
+           {"droppedByQueues", summary.droppedByQueues},
+           {"scene", linkToJson(summary.scene)},
+           {"source", linkToJson(summary.source)}}};
+}
+
+}  // namespace
+
+Result<JobResult> listCamerasJob() {
+  ASSIGN_OR_RETURN(const auto cameras, listCameras());
+  JobResult result;
+  result.figures["cameras"] = Json::array();
+  for (const CameraInfo& camera : cameras) {
+    result.text += fmt::format("{}{:<24} {} {} ({})", result.text.empty() ? "" : "\n", camera.address,
+                               camera.vendor, camera.model, camera.serial);
+    result.figures["cameras"].push_back({{"address", camera.address},
+                                         {"vendor", camera.vendor},
+                                         {"model", camera.model},
+                                         {"serial", camera.serial}});
+  }
+  if (cameras.empty()) {
+    result.text =
+        "no camera found; a GigE Vision camera must be in this computer's network, and `lightsketch "
+        "rig` runs a simulated pair";
+  }
+  return result;
+}
+
+Result<JobResult> rigJob(const RigJob& job, const std::function<void(const std::string&)>& onReady,
+                         std::stop_token stop) {
+  ASSIGN_OR_RETURN(const auto rig, SimulatedRig::start(job.rig));
+  std::string where = fmt::format("scene camera   aravis:{}\nsource camera  aravis:{}",
+                                  job.rig.sceneAddress, job.rig.sourceAddress);
+  if (!job.calibrationFolder.empty()) {
+    std::error_code error;
+    std::filesystem::create_directories(job.calibrationFolder, error);
+    const auto model = job.calibrationFolder / "source.json";
+    const auto geometry = job.calibrationFolder / "rig.json";
+    RETURN_IF_ERROR(saveCameraModel(*rig->calibratedSourceModel(), model));
+    RETURN_IF_ERROR(saveRigGeometry(rig->geometry(), geometry));
+    where += fmt::format("\ncamera model   {}\nrig            {}", model.string(), geometry.string());
+  }
+  onReady(where);
+  while (!stop.stop_requested()) std::this_thread::sleep_for(std::chrono::milliseconds(100));
+  return JobResult{fmt::format("stopped after {} frames", rig->framesSent()),
+                   {{"framesSent", rig->framesSent()}}};
+}
+
+Result<RecorderSummary> recordOnRig(const RecordJob& job, const SimulatedRigOptions& options,
+                                    const SimulatedRig& rig, Progress& progress, std::stop_token stop,
+                                    const std::function<void(const RecorderState&)>& onState) {
+  RecordJob onRig = job;
+  onRig.sceneCamera = "aravis:" + options.sceneAddress;
+  onRig.sourceCamera = "aravis:" + options.sourceAddress;
+  onRig.recorder.framesPerSecond = options.framesPerSecond;
+  onRig.recorder.sceneBlackLevel = sceneBlackLevelCounts(job.recorder.sceneFormat);
+  return recordFrom(onRig, rig.calibratedSourceModel(), rig.geometry(), progress, std::move(stop),
+                    onState);
+}
+
+Result<JobResult> recordJob(const RecordJob& job, Progress& progress, std::stop_token stop,
+                            const std::function<void(const RecorderState&)>& onState) {
+  if (job.sceneCamera.empty() != job.sourceCamera.empty()) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "record: name both cameras, --scene and --source, or neither for the simulated rig");
+  }
+  if (job.sceneCamera.empty()) {
+    progress.warn("no camera named: recording the simulated rig");
+    ASSIGN_OR_RETURN(const auto rig, SimulatedRig::start(job.simulatedRig));
+    ASSIGN_OR_RETURN(const auto summary,
+                     recordOnRig(job, job.simulatedRig, *rig, progress, std::move(stop), onState));
+    return resultOf(job, summary);
+  }
+  if (job.cameraModel.empty()) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "record: --camera-model is missing; without the source camera's calibration a "
+                   "pixel has no direction");
+  }
+  ASSIGN_OR_RETURN(const auto model, loadCameraModel(job.cameraModel));
+  RigGeometry geometry;
+  geometry.sceneCamera.camera = job.sceneCamera;
+  geometry.sourceCameras.push_back({job.sourceCamera, uprightAtSubject()});
+  if (!job.rigGeometry.empty()) {
+    ASSIGN_OR_RETURN(geometry, loadRigGeometry(job.rigGeometry));
+  }
+  ASSIGN_OR_RETURN(const auto summary,
+                   recordFrom(job, model, geometry, progress, std::move(stop), onState));
+  return resultOf(job, summary);
+}
+
+}  // namespace lightsketch

@@ -1,0 +1,92 @@
+// Compress and validate.
+#include "pipeline/job/jobs.h"
+
+#include "pipeline/sketch/image_file.h"
+#include "pipeline/sketch/sketch.h"
+#include "pipeline/validate/report.h"
+#include "pipeline/validate/validate.h"
+
+namespace lightsketch {
+namespace {
+
+namespace fs = std::filesystem;
+
+// From this many frames on, a sketch counts as dense: single frames held out would leave near twins.
+constexpr std::size_t kDenseFrames = 200;
+
+Result<void> requireParent(const fs::path& file) {
+  std::error_code error;
+  const fs::path folder = file.has_parent_path() ? file.parent_path() : fs::path(".");
+  if (!fs::is_directory(folder, error)) {
+    return failure(ErrorCode::kNotFound, "{}: the folder {} does not exist", file.string(),
+                   folder.string());
+  }
+  return {};
+}
+
+}  // namespace
+
+Result<JobResult> compressJob(const CompressJob& job, Progress& progress) {
+  RETURN_IF_ERROR(requireParent(job.out));
+  ASSIGN_OR_RETURN(const auto sketch, Sketch::open(job.sketch));
+  ASSIGN_OR_RETURN(auto compressed, compress(sketch, job.options, progress));
+  compressed.model.software = kSoftware;
+  RETURN_IF_ERROR(saveModel(compressed.model, job.out));
+  std::error_code error;
+  const auto bytes = fs::file_size(job.out, error);
+  JobResult result;
+  result.figures = compressed.summary.toJson();
+  result.figures["bytes"] = bytes;
+  result.text = fmt::format("{}: {:.2f} MB\n{}", job.out.string(), static_cast<double>(bytes) / 1e6,
+                            compressed.summary.describe());
+  return result;
+}
+
+Result<JobResult> validateJob(const ValidateJob& job, Progress& progress) {
+  ASSIGN_OR_RETURN(const auto sketch, Sketch::open(job.sketch));
+  ValidateOptions options;
+  options.holdOutRule = job.holdOutRule;
+  if (!job.environment.empty()) {
+    ASSIGN_OR_RETURN(options.environment, readImage(job.environment));
+    options.environmentName = job.environment.filename().string();
+  }
+
+  std::error_code error;
+  const bool reportFolderIsNew = !fs::exists(job.report, error);
+  const auto cleanUp = [&] {
+    if (reportFolderIsNew) fs::remove_all(job.report, error);
+  };
+  RelightableModel model;
+  options.modelFile = job.model;
+  if (!job.model.empty()) {
+    ASSIGN_OR_RETURN(model, loadModel(job.model));
+  } else {
+    CompressOptions compressOptions = job.compress;
+    if (options.holdOutRule.empty()) {
+      options.holdOutRule = sketch.activeFrames().size() >= kDenseFrames ? "cells:8:4" : "every:8:4";
+    }
+    compressOptions.holdOutRule = options.holdOutRule;
+    ASSIGN_OR_RETURN(auto compressed, compress(sketch, compressOptions, progress));
+    model = std::move(compressed.model);
+    model.software = kSoftware;
+    fs::create_directories(job.report, error);
+    options.modelFile = job.report / "model.lsd";
+    if (const auto saved = saveModel(model, options.modelFile); !saved) {
+      cleanUp();
+      return tl::unexpected<Error>(saved.error());
+    }
+  }
+  const auto report = validate(sketch, model, options, progress);
+  if (!report) {
+    cleanUp();
+    return tl::unexpected<Error>(report.error());
+  }
+  if (const auto written = writeReport(*report, job.report); !written) {
+    cleanUp();
+    return tl::unexpected<Error>(written.error());
+  }
+  return JobResult{fmt::format("{}\nreport: {}", report->describe(), (job.report / "index.html").string()),
+                   toJson(*report)};
+}
+
+}  // namespace lightsketch

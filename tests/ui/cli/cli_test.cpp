@@ -1,0 +1,329 @@
+// The command line from the outside: what a script sees.
+#include <gtest/gtest.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <Eigen/Core>
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <numbers>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "capture/frame/json.h"
+#include "capture/frame/srgb.h"
+#include "pipeline/sketch/image_file.h"
+
+namespace lightsketch {
+namespace {
+
+namespace fs = std::filesystem;
+
+struct Outcome {
+  int exitCode = -1;
+  std::string out;
+  std::string error;
+};
+
+std::string slurp(const fs::path& path) {
+  std::ifstream stream(path, std::ios::binary);
+  std::ostringstream text;
+  text << stream.rdbuf();
+  return text.str();
+}
+
+// Every entry below a folder, hidden ones included.
+std::vector<std::string> entriesBelow(const fs::path& folder) {
+  std::vector<std::string> names;
+  for (const auto& entry : fs::recursive_directory_iterator(folder)) {
+    names.push_back(fs::relative(entry.path(), folder).string());
+  }
+  std::sort(names.begin(), names.end());
+  return names;
+}
+
+class CommandLine : public ::testing::Test {
+ protected:
+  void SetUp() override {
+    std::string pattern = (fs::temp_directory_path() / "lightsketch-cli-XXXXXX").string();
+    ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
+    folder_ = pattern;
+  }
+  void TearDown() override { fs::remove_all(folder_); }
+
+  fs::path path(const std::string& name) const { return folder_ / name; }
+
+  // Runs the program; `fileSizeLimit` in bytes makes larger writes fail as on a full disk.
+  Outcome run(const std::vector<std::string>& arguments, rlim_t fileSizeLimit = RLIM_INFINITY) const {
+    const fs::path out = fs::temp_directory_path() / (folder_.filename().string() + ".out");
+    const fs::path error = fs::temp_directory_path() / (folder_.filename().string() + ".err");
+    const pid_t child = ::fork();
+    if (child == 0) {
+      if (!std::freopen(out.c_str(), "w", stdout) || !std::freopen(error.c_str(), "w", stderr)) {
+        std::_Exit(126);
+      }
+      const rlimit limit{fileSizeLimit, fileSizeLimit};
+      ::setrlimit(RLIMIT_FSIZE, &limit);
+      std::vector<char*> argv{const_cast<char*>(LIGHTSKETCH_BINARY)};
+      for (const auto& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
+      argv.push_back(nullptr);
+      ::execv(LIGHTSKETCH_BINARY, argv.data());
+      std::_Exit(127);
+    }
+    int status = 0;
+    ::waitpid(child, &status, 0);
+    Outcome outcome;
+    outcome.exitCode = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
+    outcome.out = slurp(out);
+    outcome.error = slurp(error);
+    fs::remove(out);
+    fs::remove(error);
+    return outcome;
+  }
+
+  // Exit code 1, one line that mentions `what`, and nothing new in the folder.
+  void expectRefusal(const std::vector<std::string>& arguments, const std::string& what,
+                     rlim_t fileSizeLimit = RLIM_INFINITY) const {
+    const auto before = entriesBelow(folder_);
+    const Outcome outcome = run(arguments, fileSizeLimit);
+    EXPECT_EQ(outcome.exitCode, 1) << outcome.out << outcome.error;
+    EXPECT_EQ(outcome.out, "");
+    EXPECT_EQ(std::count(outcome.error.begin(), outcome.error.end(), '\n'), 1) << outcome.error;
+    EXPECT_NE(outcome.error.find(what), std::string::npos) << outcome.error;
+    EXPECT_EQ(entriesBelow(folder_), before);
+  }
+
+  // A matte bumpy plane under `count` lights, rendered here: 8-bit sRGB PNG and a .lp.
+  void writeSet(const std::string& name, int count) const {
+    fs::create_directories(path(name));
+    std::ofstream lp(path(name) / "set.lp");
+    lp << count << "\n";
+    for (int i = 0; i < count; ++i) {
+      const double z = 1 - (i + 0.5) / count * 0.9;
+      const double angle = i * std::numbers::pi * (3 - std::sqrt(5.0));
+      const Eigen::Vector3d light(std::sqrt(1 - z * z) * std::cos(angle),
+                                  std::sqrt(1 - z * z) * std::sin(angle), z);
+      RadianceImage image(40, 24, 3);
+      for (int y = 0; y < 24; ++y) {
+        for (int x = 0; x < 40; ++x) {
+          const Eigen::Vector3d normal =
+              Eigen::Vector3d(0.4 * std::sin(0.7 * x), 0.4 * std::cos(0.5 * y), 1).normalized();
+          const double shading = std::max(0.0, normal.dot(light));
+          for (int c = 0; c < 3; ++c) image(x, y, c) = static_cast<float>(shading * (0.9 - 0.2 * c));
+        }
+      }
+      const std::string file = fmt::format("{:03}.png", i);
+      ASSERT_TRUE(writePng(path(name) / file, image));
+      lp << file << " " << light.x() << " " << light.y() << " " << light.z() << "\n";
+    }
+  }
+
+  void importSet(const std::string& set, const std::string& sketch, int count = 64) const {
+    writeSet(set, count);
+    const auto outcome = run({"import", path(set), "--out", path(sketch), "--quiet"});
+    ASSERT_EQ(outcome.exitCode, 0) << outcome.error;
+  }
+
+  fs::path folder_;
+};
+
+// --- The whole way ----------------------------------------------------------------------------
+
+TEST_F(CommandLine, TakesASetFromImportToReport) {
+  importSet("set", "sketch");
+  ASSERT_EQ(run({"info", path("sketch")}).exitCode, 0);
+  const auto compressed = run({"compress", path("sketch"), "--out", path("m.lsd"), "--hold-out",
+                               "every:8:4", "--json", path("c.json"), "--quiet"});
+  ASSERT_EQ(compressed.exitCode, 0) << compressed.error;
+  ASSERT_EQ(run({"info", path("m.lsd")}).exitCode, 0);
+
+  const auto relit = run({"relight", path("m.lsd"), "--light", "0.3,0.2,0.9", "--out", path("a.png")});
+  ASSERT_EQ(relit.exitCode, 0) << relit.error;
+  ASSERT_EQ(run({"relight", path("m.lsd"), "--light", "0,0,1", "--light=-1,0,1", "--out", path("b.exr")})
+                .exitCode,
+            0);
+  RadianceImage sky(64, 32, 3, 1.0f);
+  ASSERT_TRUE(writeExr(path("sky.exr"), sky));
+  ASSERT_EQ(run({"relight", path("m.lsd"), "--environment", path("sky.exr"), "--out", path("c.exr")})
+                .exitCode,
+            0);
+
+  // The relit picture is the analytic one: light (0.3, 0.2, 0.9) on the same bumps.
+  const auto picture = readImage(path("a.png"));
+  ASSERT_TRUE(picture);
+  const Eigen::Vector3d light = Eigen::Vector3d(0.3, 0.2, 0.9).normalized();
+  double squared = 0;
+  for (int y = 0; y < 24; ++y) {
+    for (int x = 0; x < 40; ++x) {
+      const Eigen::Vector3d normal =
+          Eigen::Vector3d(0.4 * std::sin(0.7 * x), 0.4 * std::cos(0.5 * y), 1).normalized();
+      const double expected = srgbEncode(static_cast<float>(0.9 * std::max(0.0, normal.dot(light))));
+      squared += std::pow(srgbEncode((*picture)(x, y, 0)) - expected, 2);
+    }
+  }
+  // 40 dB: 1 percent rms; shading without shadows is smooth in the light, so interpolation is easy.
+  EXPECT_GT(-10 * std::log10(squared / (24 * 40)), 40.0);
+
+  const auto validated = run({"validate", path("sketch"), "--hold-out", "every:8:4", "--model",
+                              path("m.lsd"), "--report", path("report"), "--json", path("v.json")});
+  ASSERT_EQ(validated.exitCode, 0) << validated.error;
+  EXPECT_TRUE(fs::exists(path("report") / "index.html"));
+  EXPECT_TRUE(readJsonFile(path("v.json")));
+  EXPECT_TRUE(readJsonFile(path("c.json")));
+
+  ASSERT_EQ(run({"export", path("sketch"), "--format", "lp", "--out", path("again")}).exitCode, 0);
+  const auto again = run({"import", path("again"), "--out", path("sketch2")});
+  ASSERT_EQ(again.exitCode, 0) << again.error;
+}
+
+TEST_F(CommandLine, ValidateMakesItsOwnModel) {
+  importSet("set", "sketch");
+  const auto validated = run({"validate", path("sketch"), "--report", path("report"), "--quiet"});
+  ASSERT_EQ(validated.exitCode, 0) << validated.error;
+  EXPECT_TRUE(fs::exists(path("report") / "index.html"));
+}
+
+TEST_F(CommandLine, ValidateRefusesAModelThatSawTheHeldOutFrames) {
+  importSet("set", "sketch");
+  ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
+  expectRefusal({"validate", path("sketch"), "--hold-out", "every:8:4", "--model", path("m.lsd"),
+                 "--report", path("report"), "--quiet"},
+                "hold-out");
+}
+
+// --- Wrong calls ------------------------------------------------------------------------------
+
+TEST_F(CommandLine, WrongCallsExitWithTwo) {
+  EXPECT_EQ(run({}).exitCode, 2);
+  EXPECT_EQ(run({"paint"}).exitCode, 2);
+  EXPECT_EQ(run({"compress"}).exitCode, 2);
+  EXPECT_EQ(run({"relight", "m.lsd", "--out", "a.png"}).exitCode, 2);
+  EXPECT_EQ(run({"relight", "m.lsd", "--light", "0,0,0", "--out", "a.png"}).exitCode, 2);
+  EXPECT_EQ(run({"compress", "s", "--out", "m.lsd", "--rank", "many"}).exitCode, 2);
+  EXPECT_EQ(run({"--help"}).exitCode, 0);
+  EXPECT_EQ(run({"record", "--help"}).exitCode, 0);
+}
+
+// --- Bad input: exit code 1, one line, nothing left behind --------------------------------------
+
+TEST_F(CommandLine, RefusesWhatIsNotThere) {
+  expectRefusal({"info", path("none")}, "none");
+  expectRefusal({"import", path("none"), "--out", path("s"), "--quiet"}, "none");
+  expectRefusal({"compress", path("none"), "--out", path("m.lsd"), "--quiet"}, "none");
+  expectRefusal({"relight", path("none.lsd"), "--light", "0,0,1", "--out", path("a.png")}, "none.lsd");
+  expectRefusal({"validate", path("none"), "--report", path("r"), "--quiet"}, "none");
+  expectRefusal({"export", path("none"), "--out", path("e"), "--quiet"}, "none");
+}
+
+TEST_F(CommandLine, RefusesAnUnknownCamera) {
+  std::ofstream(path("camera.json")) << R"({"format": "lightsketch-camera", "formatVersion": 1,
+    "model": "kannala-brandt", "parameters": {"width": 960, "height": 960, "fx": 290, "fy": 290,
+    "cx": 480, "cy": 480, "k": [0, 0, 0, 0], "p": [0, 0], "maxFieldAngleDegrees": 92}})";
+  expectRefusal({"record", "--scene", "firewire:1", "--source", "firewire:2", "--camera-model",
+                 path("camera.json"), "--out", path("s"), "--quiet"},
+                "firewire:1");
+  expectRefusal({"record", "--scene", "replay:" + path("no").string(), "--source",
+                 "replay:" + path("no").string(), "--camera-model", path("camera.json"), "--out",
+                 path("s"), "--quiet"},
+                "no");
+  expectRefusal({"record", "--scene", "aravis:127.0.0.99", "--source", "aravis:127.0.0.98",
+                 "--camera-model", path("camera.json"), "--out", path("s"), "--quiet"},
+                "127.0.0.99");
+  expectRefusal({"record", "--scene", "aravis:127.0.0.99", "--out", path("s"), "--quiet"}, "--source");
+}
+
+TEST_F(CommandLine, RefusesZeroCaptures) {
+  fs::create_directory(path("empty"));
+  expectRefusal({"import", path("empty"), "--out", path("s"), "--quiet"}, "empty");
+  std::ofstream(path("empty") / "set.lp") << "0\n";
+  expectRefusal({"import", path("empty"), "--out", path("s"), "--quiet"}, "set.lp");
+}
+
+TEST_F(CommandLine, RefusesNonsenseInALightFile) {
+  writeSet("set", 64);
+  std::string text = slurp(path("set") / "set.lp");
+  const auto damage = [&](const std::string& changed) { std::ofstream(path("set") / "set.lp") << changed; };
+  damage("many\n" + text);
+  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp:1");
+  std::string broken = text;
+  broken.replace(broken.find("002.png") + 8, 3, "abc");
+  damage(broken);
+  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp:4");
+  damage(text.substr(0, text.find("002.png") + 10));  // truncated in the middle of a line
+  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp:4");
+}
+
+TEST_F(CommandLine, RefusesDamagedSketches) {
+  importSet("set", "sketch");
+  const auto compress = [&](const std::string& what) {
+    expectRefusal({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}, what);
+  };
+  // A truncated frame.
+  const fs::path frame = path("sketch") / "frames" / "000010.exr";
+  const std::string whole = slurp(frame);
+  std::ofstream(frame, std::ios::binary) << whole.substr(0, whole.size() / 2);
+  compress("000010.exr");
+  std::ofstream(frame, std::ios::binary) << whole;
+  // Truncated JSON.
+  const std::string manifest = slurp(path("sketch") / "sketch.json");
+  std::ofstream(path("sketch") / "sketch.json") << manifest.substr(0, manifest.size() / 2);
+  compress("sketch.json");
+  std::ofstream(path("sketch") / "sketch.json") << manifest;
+  // A newer version.
+  Json newer = Json::parse(manifest);
+  newer["formatVersion"] = 99;
+  std::ofstream(path("sketch") / "sketch.json") << newer.dump();
+  compress("newer");
+  std::ofstream(path("sketch") / "sketch.json") << manifest;
+  // A flipped byte in the middle of the journal.
+  std::string journal = slurp(path("sketch") / "frames.jsonl");
+  journal[journal.size() / 2] = static_cast<char>(journal[journal.size() / 2] ^ 4);
+  std::ofstream(path("sketch") / "frames.jsonl", std::ios::binary) << journal;
+  compress("frames.jsonl");
+}
+
+TEST_F(CommandLine, RefusesDamagedModels) {
+  importSet("set", "sketch");
+  ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
+  const std::string whole = slurp(path("m.lsd"));
+  for (const std::size_t length : {std::size_t{0}, std::size_t{100}, whole.size() / 2, whole.size() - 1}) {
+    std::ofstream(path("m.lsd"), std::ios::binary) << whole.substr(0, length);
+    expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.png")}, "m.lsd");
+  }
+  std::string flipped = whole;
+  flipped[whole.size() / 3] = static_cast<char>(flipped[whole.size() / 3] ^ 1);
+  std::ofstream(path("m.lsd"), std::ios::binary) << flipped;
+  expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.png")}, "m.lsd");
+}
+
+TEST_F(CommandLine, AFullDiskLeavesNothingHalfMade) {
+  writeSet("set", 64);
+  // Files may not grow beyond this, which is what a full disk does to a writer.
+  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "s", 1500);
+  importSet("set", "sketch");
+  expectRefusal({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}, "m.lsd", 20'000);
+  ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
+  expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.png")}, "a.png", 500);
+  expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.exr")}, "a.exr", 500);
+}
+
+TEST_F(CommandLine, RefusesBadRelightingInput) {
+  importSet("set", "sketch");
+  ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
+  expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.gif")}, "a.gif");
+  expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("no/a.png")}, "a.png");
+  expectRefusal({"relight", path("m.lsd"), "--environment", path("none.hdr"), "--out", path("a.png")},
+                "none.hdr");
+  std::ofstream(path("lights.json")) << "{\"format\": \"lightsketch-lights\"";
+  expectRefusal({"relight", path("m.lsd"), "--lights", path("lights.json"), "--out", path("a.png")},
+                "lights.json");
+  // An existing sketch is not overwritten by an import.
+  expectRefusal({"import", path("set"), "--out", path("sketch"), "--quiet"}, "exists");
+}
+
+}  // namespace
+}  // namespace lightsketch
