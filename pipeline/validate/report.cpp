@@ -467,11 +467,12 @@ Result<std::string> html(const ValidationReport& report) {
   page += tile(fmt::format("{:.2f}", sum.sameLamps.psnr), "dB",
                "superposition, against the sum of the captures");
   if (report.size) {
-    page += tile(fmt::format("{:.1f}", report.size->bitsPerPixel), "bit / pixel",
-                 "of the model file, all lights together");
+    page += tile(
+        fmt::format("{:.{}f}", report.size->bitsPerPixel, report.size->bitsPerPixel < 1000 ? 1 : 0),
+        "bit / pixel", "of the model file, all lights together");
     page += tile(
         fmt::format("{:.{}f}", report.size->ratioToHalf, report.size->ratioToHalf < 10 ? 2 : 0),
-        ": 1", "smaller than the captures in half float");
+        ": 1", "captures in half float : model file");
   }
   page += "</div>\n";
 

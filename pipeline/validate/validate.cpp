@@ -514,7 +514,7 @@ std::string ValidationReport::describe() const {
                       100 * superposition.sameLamps.relative);
   if (size) {
     text += fmt::format(
-        "model                 {} bytes, {:.1f} bits per pixel, {:.0f}:1 of half float\n",
+        "model                 {} bytes, {:.1f} bits per pixel, {:.1f} : 1 of half float\n",
         size->bytes, size->bitsPerPixel, size->ratioToHalf);
   }
   return text;
