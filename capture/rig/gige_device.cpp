@@ -680,9 +680,12 @@ void GigeDevice::State::send(std::shared_ptr<const SentFrame> frame, std::stop_t
   }
   std::uniform_real_distribution<double> chance(0, 1);
   Bytes packet;
+  TimePoint due = Clock::now();
   for (std::uint32_t i = 0; i < frame->packetCount() && !stop.stop_requested(); ++i) {
     if (i > 0 && i % static_cast<std::uint32_t>(options.packetsPerBurst) == 0) {
-      std::this_thread::sleep_for(kBurstPause);
+      // Oversleeping is made up for, but never by more than one burst at once.
+      due = std::max(due + kBurstPause, Clock::now() - kBurstPause);
+      std::this_thread::sleep_until(due);
     }
     if (options.packetLoss > 0 && chance(random) < options.packetLoss) continue;
     frame->packet(i, kSuccess, packet);

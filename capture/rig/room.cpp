@@ -27,7 +27,7 @@ constexpr float kPictureFront = -0.75f, kPictureBack = 0.25f, kPictureBottom = 0
 struct Ellipsoid {
   Vector3f centre, radii;
 };
-const Ellipsoid kPerson[] = {{{-0.05f, -1.30f, 0.42f}, {0.10f, 0.11f, 0.14f}},   // head
+const Ellipsoid kBystander[] = {{{-0.05f, -1.30f, 0.42f}, {0.10f, 0.11f, 0.14f}},   // head
                              {{-0.05f, -1.35f, -0.12f}, {0.24f, 0.14f, 0.42f}}};  // trunk
 
 bool inside(float value, float low, float high) { return value > low && value < high; }
@@ -48,7 +48,7 @@ void shadeWindow(float x, float z, RoomHit& hit) {
   hit.albedo.setZero();
   const float hedge = 0.36f + 0.10f * fractalNoise({6 * u, 3.0f, 1.7f}, 4);
   const float leaves = 0.6f + 0.8f * fractalNoise({40 * u, 40 * v, 0.3f}, 3);
-  const float sky = 0.34f + 0.16f * v + 0.08f * fractalNoise({3 * u, 5 * v, 7.0f}, 4);
+  const float sky = 0.12f + 0.24f * v + 0.10f * fractalNoise({3 * u, 5 * v, 7.0f}, 4);
   hit.radiance = v < hedge ? Vector3f(0.035f * leaves * Vector3f(0.7f, 1.0f, 0.5f))
                            : Vector3f(sky * Vector3f(0.85f, 0.95f, 1.1f));
 }
@@ -85,9 +85,7 @@ Room::Room()
       spots_{{{1.15f, 0.75f, 1.62f}, 0.026f, 70},
              {{1.15f, -0.55f, 1.62f}, 0.026f, 70},
              {{-1.25f, -0.60f, 1.62f}, 0.026f, 70}},
-      panels_{{{-0.75f, 0.45f, kHigh.z()}, {0.45f, 0.75f, kHigh.z()}, 0.75f}} {}
-
-Vector3f Room::shoulder() const { return {0.16f, -1.22f, 0.16f}; }
+      panels_{{{-0.45f, 0.50f, kHigh.z()}, {0.15f, 0.74f, kHigh.z()}, 1.4f}} {}
 
 RoomHit Room::trace(const Vector3f& origin, const Vector3f& direction) const {
   RoomHit hit;
@@ -106,8 +104,8 @@ RoomHit Room::trace(const Vector3f& origin, const Vector3f& direction) const {
   hit.normal[axis] = direction[axis] > 0 ? -1.0f : 1.0f;
   hit.radiance.setZero();
 
-  // The person stands in front of the wall.
-  for (const auto& part : kPerson) {
+  // Somebody stands in front of the wall.
+  for (const auto& part : kBystander) {
     const Vector3f o = (origin - part.centre).cwiseQuotient(part.radii);
     const Vector3f d = direction.cwiseQuotient(part.radii);
     const float a = d.squaredNorm(), b = o.dot(d), c = o.squaredNorm() - 1;

@@ -47,8 +47,6 @@ class Room {
   const std::vector<Pane>& panes() const { return panes_; }
   const std::vector<Spot>& spots() const { return spots_; }
   const std::vector<Panel>& panels() const { return panels_; }
-  // Where the person's shoulder is that the arm comes from.
-  Eigen::Vector3f shoulder() const;
 
  private:
   std::vector<Pane> panes_;

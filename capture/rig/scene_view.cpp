@@ -205,9 +205,14 @@ class ShadowCaster {
   void castLoose(const Block& b, float* visible) {
     std::fill(visible, visible + kLanes, 0.0f);
     castRound(b, 0, visible);
-    float lit = 0;
-    for (int i = 0; i < kLanes; ++i) lit += visible[i];
-    if (lit == 0 || lit == kLanes) return;
+    int lit = 0, facing = 0;
+    for (int i = 0; i < kLanes; ++i) {
+      const bool faces = b.translucency[i] > 0 || b.nx[i] * rays_.dir_x[i] + b.ny[i] * rays_.dir_y[i] +
+                                                          b.nz[i] * rays_.dir_z[i] > 0;
+      facing += faces;
+      lit += faces && visible[i] > 0;
+    }
+    if (lit == 0 || lit == facing) return;
     for (int k = 1; k < kShadowSamples; ++k) castRound(b, k, visible);
     for (int i = 0; i < kLanes; ++i) visible[i] /= kShadowSamples;
   }
@@ -245,6 +250,7 @@ class ShadowCaster {
 // Light that is always there, and how open a point is to its surroundings.
 struct Surroundings {
   Vector3f ambient = Vector3f::Zero();  // irradiance / pi
+  Vector3f mirrored = Vector3f::Zero(); // radiance of the room in the polish
   float openness = 0;
   Vector3f bounceColour = Vector3f::Zero();
   Vector3f bounceNormal = Vector3f::Zero();
@@ -313,20 +319,36 @@ Surroundings surroundingsOf(const StillLife& stillLife, const Room& room, const 
   return s;
 }
 
-// Mean of four hits of one surface inside a pixel.
-SurfacePoint mergedPoint(const std::array<SurfacePoint, 4>& hits) {
-  SurfacePoint mean = hits[0];
-  for (int i = 1; i < 4; ++i) {
-    const auto& h = hits[static_cast<std::size_t>(i)];
-    mean.position += h.position;
-    mean.normal += h.normal;
-    mean.albedo += h.albedo;
+// The hits of one smooth surface inside a pixel, as sums until mean() is called.
+struct SurfaceGroup {
+  explicit SurfaceGroup(const SurfacePoint& first)
+      : sum(first), firstNormal(first.geometricNormal), firstDistance(first.distance) {}
+
+  SurfacePoint sum;
+  Vector3f firstNormal;
+  float firstDistance;
+  int count = 1;
+
+  bool accepts(const SurfacePoint& hit) const {
+    return hit.object == sum.object && hit.geometricNormal.dot(firstNormal) > 0.94f &&
+           std::abs(hit.distance - firstDistance) < 0.002f;
   }
-  mean.position *= 0.25f;
-  mean.normal.normalize();
-  mean.albedo *= 0.25f;
-  return mean;
-}
+  void add(const SurfacePoint& hit) {
+    ++count;
+    sum.position += hit.position;
+    sum.normal += hit.normal;
+    sum.geometricNormal += hit.geometricNormal;
+    sum.albedo += hit.albedo;
+  }
+  SurfacePoint mean() const {
+    SurfacePoint point = sum;
+    point.position /= static_cast<float>(count);
+    point.normal.normalize();
+    point.geometricNormal.normalize();
+    point.albedo /= static_cast<float>(count);
+    return point;
+  }
+};
 
 float schlickFactor(const SurfacePoint& point, const Vector3f& toViewer) {
   const float m = 1 - std::clamp(point.normal.dot(toViewer), 0.0f, 1.0f);
@@ -351,6 +373,7 @@ struct SceneView::State {
 
   void prepare();
   void addPixel(int x, int y, std::vector<Point>& points, std::vector<Point>& mirrored);
+  void smoothSurroundings(const std::vector<Point*>& points);
   static void store(const std::vector<Point>& points, std::vector<Block>& blocks);
   void traceLamp(const LampState& lamp, const LampPoints& lampPoints);
   void addLight(const Block& block, const Lamp& lamp, const float* visible);
@@ -368,7 +391,7 @@ struct SceneView::State {
   std::vector<float> signal;
 };
 
-// Points of one pixel: one where a single smooth surface fills it, else four. A glossy surface adds
+// Points of one pixel: one for every smooth surface that four rays find in it. A glossy surface adds
 // what it mirrors as a point of its own; the room's mirror image goes to the ambient light.
 void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
                                 std::vector<Point>& mirrored) {
@@ -377,9 +400,7 @@ void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
   const Vector3f eye = pose.translation().cast<float>();
   const std::int32_t pixel = y * kWidth + x;
 
-  std::array<SurfacePoint, 4> hits;
-  bool same = true;
-  int found = 0;
+  std::vector<SurfaceGroup> groups;
   for (int i = 0; i < 4; ++i) {
     const Vector3d inCamera((x + 0.25 + 0.5 * (i % 2) - kWidth / 2.0) / focal,
                             (y + 0.25 + 0.5 * (i / 2) - kHeight / 2.0) / focal, 1);
@@ -390,26 +411,22 @@ void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
       for (int c = 0; c < 3; ++c) ambient(x, y, c) += 0.25f * seen[c];
       continue;
     }
-    hits[static_cast<std::size_t>(found++)] = *hit;
-    same = same && hit->object == hits[0].object &&
-           hit->geometricNormal.dot(hits[0].geometricNormal) > 0.97f &&
-           std::abs(hit->distance - hits[0].distance) < 0.002f;
+    auto group = std::find_if(groups.begin(), groups.end(),
+                              [&](const SurfaceGroup& g) { return g.accepts(*hit); });
+    if (group == groups.end()) groups.emplace_back(*hit);
+    else group->add(*hit);
   }
-  if (found == 4 && same) {
-    hits[0] = mergedPoint(hits);
-    found = 1;
-  }
-  const float share = found == 1 && same ? 1.0f : 0.25f;
 
-  for (int i = 0; i < found; ++i) {
+  for (std::size_t i = 0; i < groups.size(); ++i) {
+    const float share = 0.25f * static_cast<float>(groups[i].count);
     Point p;
-    p.surface = hits[static_cast<std::size_t>(i)];
+    p.surface = groups[i].mean();
     p.toViewer = (eye - p.surface.position).normalized();
     p.weight = Vector3f::Constant(share);
     p.pixel = pixel;
-    const auto id = static_cast<std::uint64_t>(pixel) * 4 + static_cast<std::uint64_t>(i);
+    const auto id = static_cast<std::uint64_t>(pixel) * 4 + i;
     p.surroundings = surroundingsOf(*stillLife, room, p.surface, id);
-    Vector3f light = p.surface.albedo.cwiseProduct(p.surroundings.ambient);
+    Vector3f& light = p.surroundings.mirrored;
 
     // What it mirrors; a rough surface mirrors a cone.
     const Vector3f fresnel =
@@ -436,18 +453,21 @@ void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
           continue;
         }
         light += 0.035f * part.cwiseProduct(other->albedo);
-        if (spread > 0.06f || fresnel.maxCoeff() < 0.02f || k % 4 != 0) continue;
+      }
+      // Other objects that the lamp lights, sharp: worth it only where much is mirrored.
+      const Vector3f out = 2 * p.surface.normal.dot(p.toViewer) * p.surface.normal - p.toViewer;
+      const auto other = spread < 0.08f && fresnel.maxCoeff() > 0.1f ? stillLife->hit(origin, out)
+                                                                      : std::nullopt;
+      if (other) {
         Point m;
         m.surface = *other;
-        m.surface.translucency *= 0.5f;
         m.surroundings.openness = 0.7f;
         m.toViewer = -out;
-        m.weight = share * fresnel * 4 / static_cast<float>(rays);
+        m.weight = share * fresnel;
         m.pixel = pixel;
         mirrored.push_back(m);
       }
     }
-    for (int c = 0; c < 3; ++c) ambient(x, y, c) += share * light[c];
     points.push_back(std::move(p));
   }
 }
@@ -484,6 +504,53 @@ void SceneView::State::store(const std::vector<Point>& points, std::vector<Block
   }
 }
 
+// The surroundings come from a few rays each: average them over neighbours on the same surface, then
+// add the ambient light.
+void SceneView::State::smoothSurroundings(const std::vector<Point*>& points) {
+  std::vector<const Point*> at(static_cast<std::size_t>(kWidth) * kHeight, nullptr);
+  for (const Point* p : points) at[static_cast<std::size_t>(p->pixel)] = p;
+  std::vector<Surroundings> smoothed(points.size());
+  tbb::parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
+    const Point& p = *points[i];
+    const int x = p.pixel % kWidth, y = p.pixel / kWidth;
+    constexpr int kReach = 4;
+    Surroundings sum = p.surroundings;
+    float weight = 1;
+    for (int v = std::max(y - kReach, 0); v <= std::min(y + kReach, kHeight - 1); ++v) {
+      for (int u = std::max(x - kReach, 0); u <= std::min(x + kReach, kWidth - 1); ++u) {
+        const Point* q = at[static_cast<std::size_t>(v * kWidth + u)];
+        if (!q || q == &p || q->surface.object != p.surface.object ||
+            q->surface.normal.dot(p.surface.normal) < 0.95f ||
+            std::abs((q->surface.position - p.surface.position).dot(p.surface.normal)) > 0.001f) {
+          continue;
+        }
+        sum.ambient += q->surroundings.ambient;
+        sum.mirrored += q->surroundings.mirrored;
+        sum.openness += q->surroundings.openness;
+        sum.bounceColour += q->surroundings.bounceColour;
+        sum.bounceNormal += q->surroundings.bounceNormal;
+        weight += 1;
+      }
+    }
+    sum.ambient /= weight;
+    // A sharp mirror image needs no smoothing and would suffer.
+    constexpr float kSharp = 0.3f;
+    sum.mirrored = p.surface.roughness < kSharp ? p.surroundings.mirrored
+                                                : Vector3f(sum.mirrored / weight);
+    sum.openness /= weight;
+    sum.bounceColour /= weight;
+    sum.bounceNormal /= weight;
+    smoothed[i] = sum;
+  });
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    Point& p = *points[i];
+    p.surroundings = smoothed[i];
+    const Vector3f light = p.weight.cwiseProduct(
+        p.surface.albedo.cwiseProduct(p.surroundings.ambient) + p.surroundings.mirrored);
+    for (int c = 0; c < 3; ++c) ambient.data()[3 * p.pixel + c] += light[c];
+  }
+}
+
 void SceneView::State::prepare() {
   struct Tile {
     std::vector<Point> points, mirrored;
@@ -498,6 +565,12 @@ void SceneView::State::prepare() {
       }
     }
   });
+
+  std::vector<Point*> points;
+  for (Tile& tile : grid) {
+    for (Point& p : tile.points) points.push_back(&p);
+  }
+  smoothSurroundings(points);
 
   tileLight.assign(grid.size(), Light::kUnknown);
   std::vector<Point> rest;
@@ -521,7 +594,8 @@ void SceneView::State::traceLamp(const LampState& lamp, const LampPoints& lampPo
   ShadowCaster caster(stillLife->embreeScene(), lampPoints);
 
   // First the corners of every tile, four tiles to a packet. Where they disagree, or differ from a
-  // neighbour's, there is a shadow's edge, and it is worth all samples.
+  // neighbour's, there is a shadow's edge, and it is worth all samples. Without the neighbours the
+  // outer part of a penumbra shows the tiles' outline.
   for (std::size_t first = 0; first < tiles.size(); first += 4) {
     const std::size_t count = std::min<std::size_t>(4, tiles.size() - first);
     const auto seen = caster.castCorners(tiles.data() + first, count, centre);
@@ -534,7 +608,7 @@ void SceneView::State::traceLamp(const LampState& lamp, const LampPoints& lampPo
     const auto differs = [&](int nx, int ny) {
       if (nx < 0 || ny < 0 || nx >= kTileColumns || ny >= kTileRows) return false;
       const Light there = tileLight[static_cast<std::size_t>(ny * kTileColumns + nx)];
-      return there != here && there != Light::kUnknown && there != Light::kMixed;
+      return there != here && there != Light::kUnknown;
     };
     return differs(x - 1, y) || differs(x + 1, y) || differs(x, y - 1) || differs(x, y + 1);
   };

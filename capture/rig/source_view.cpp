@@ -23,7 +23,7 @@ using Eigen::Vector3d;
 using Eigen::Vector3f;
 
 constexpr int kSize = SourceView::kSize;
-constexpr int kCell = 8;  // pixels between the nodes of the coarse grids
+constexpr int kCell = 4;  // pixels between the nodes of the coarse grids
 constexpr int kNodes = kSize / kCell + 1;
 
 // The bulb's own radiance, so that a white surface facing it at 0.9 m has radiance 1.
@@ -134,8 +134,8 @@ struct SourceView::State {
   void drawCover(const LampState& lamp);
   void drawDisk(const Disk& disk, double radiance, bool glare, std::vector<float>& out) const;
   void drawGlare(const Vector2d& centre, double flux, std::vector<float>& out) const;
-  void drawShadow(const Vector3d& position, double radius, double opacity);
-  void drawReflections(const LampState& lamp, double share);
+  void drawShadow(const Vector3d& position, double radius);
+  void drawReflections(const LampState& lamp);
 
   std::shared_ptr<const StillLife> stillLife;
   const Room& room;
@@ -245,7 +245,7 @@ void SourceView::State::lightWalls(const LampState& lamp) {
 }
 
 // A dark ball, antialiased, over whatever is there.
-void SourceView::State::drawShadow(const Vector3d& position, double radius, double opacity) {
+void SourceView::State::drawShadow(const Vector3d& position, double radius) {
   const auto disk = project(lens, sceneFromCamera.inverse() * position, radius);
   if (!disk) return;
   const Matrix2d inverse = disk->axes.inverse();
@@ -260,7 +260,7 @@ void SourceView::State::drawShadow(const Vector3d& position, double radius, doub
       const Vector2d offset = Vector2d(x + 0.5, y + 0.5) - disk->centre;
       const double rho = (inverse * offset).norm();
       const double inside = rho > 1e-6 ? offset.norm() * (1 / rho - 1) : reach;  // pixels
-      const auto alpha = static_cast<float>(opacity * std::clamp(0.5 + inside / 1.6, 0.0, 1.0));
+      const auto alpha = static_cast<float>(std::clamp(0.5 + inside / 1.6, 0.0, 1.0));
       if (alpha <= 0) continue;
       const auto pixel = static_cast<std::size_t>(y) * kSize + static_cast<std::size_t>(x);
       if (open[pixel] <= 0) continue;
@@ -269,36 +269,39 @@ void SourceView::State::drawShadow(const Vector3d& position, double radius, doub
   }
 }
 
-// Hand, forearm and upper arm behind the lamp, as a chain of balls.
+// Hand and arm behind the lamp, as a chain of balls up to the shoulder of a person who walks around
+// the table with it.
 void SourceView::State::drawArm(const LampState& lamp) {
   const Vector3d outward = lamp.position.normalized();
-  const Vector3d shoulder = room.shoulder().cast<double>();
+  Vector3d aside(outward.x(), outward.y() - 0.6, 0);
+  aside = aside.norm() > 1e-3 ? aside.normalized() : Vector3d(0, -1, 0);
+  const Vector3d shoulder = 1.35 * aside + Vector3d(0, 0, 0.2);
   const Vector3d hand = lamp.position + kHandBehind * outward;
-  const Vector3d elbow = 0.5 * (hand + shoulder) + Vector3d(0.16, -0.10, -0.10);
-  constexpr int kBalls = 40;
+  const Vector3d elbow = 0.5 * (hand + shoulder) + 0.2 * aside - Vector3d(0, 0, 0.1);
+  constexpr int kBalls = 110;
   for (int i = 0; i <= kBalls; ++i) {
     const double t = static_cast<double>(i) / kBalls;
     const Vector3d place = (1 - t) * (1 - t) * hand + 2 * t * (1 - t) * elbow + t * t * shoulder;
-    const double radius = i < 2 ? kHandRadius : 0.032 + 0.022 * t;
-    drawShadow(place, radius, 1);
+    const double radius = 0.034 + 0.02 * t + 0.016 * std::exp(-std::pow(t / 0.05, 2));
+    drawShadow(place, radius);
   }
   // The stick.
   for (int i = 1; i <= 12; ++i) {
-    drawShadow(lamp.position + (0.02 + 0.011 * i) * outward, 0.007, 1);
+    drawShadow(lamp.position + (0.02 + 0.011 * i) * outward, 0.007);
   }
 }
 
-// The hand that slides in between. It comes from the side of the arm.
+// The hand that slides in between.
 void SourceView::State::drawCover(const LampState& lamp) {
   if (lamp.cover <= 0) return;
   const Vector3d eye = sceneFromCamera.translation();
   const Vector3d towards = (eye - lamp.position).normalized();
-  Vector3d side = room.shoulder().cast<double>() - lamp.position;
+  Vector3d side = lamp.position + Vector3d(0.1, -0.3, -0.4);
   side = (side - side.dot(towards) * towards).normalized();
   const Vector3d hand = lamp.position + 0.06 * towards +
                         (1 - lamp.cover) * 2.6 * kHandRadius * side;
-  drawShadow(hand, kHandRadius, 1);
-  drawShadow(hand + 0.06 * side, 0.8 * kHandRadius, 1);
+  drawShadow(hand, kHandRadius);
+  drawShadow(hand + 0.06 * side, 0.8 * kHandRadius);
 }
 
 void SourceView::State::drawGlare(const Vector2d& centre, double flux, std::vector<float>& out) const {
@@ -375,14 +378,8 @@ void SourceView::State::drawDisk(const Disk& disk, double radiance, bool glare,
 }
 
 // The lamp in the window pane, in the picture's glass and in the polished table.
-void SourceView::State::drawReflections(const LampState& lamp, double share) {
+void SourceView::State::drawReflections(const LampState& lamp) {
   const Vector3d eye = sceneFromCamera.translation();
-  const auto draw = [&](const Vector3d& mirrored, double reflectance, double radius) {
-    const auto disk = project(lens, sceneFromCamera.inverse() * mirrored, radius);
-    if (!disk) return;
-    const double shrunk = kLampRadiusMetres * kLampRadiusMetres / (radius * radius);
-    drawDisk(*disk, share * reflectance * shrunk * kLampRadiance, true, frame);
-  };
   for (const auto& pane : room.panes()) {
     Vector3d mirrored = lamp.position;
     mirrored[pane.axis] = 2.0 * pane.value - mirrored[pane.axis];
@@ -396,8 +393,11 @@ void SourceView::State::drawReflections(const LampState& lamp, double share) {
     if (!onPane) continue;
     const double cosine = std::abs((mirrored - eye).normalized()[pane.axis]);
     constexpr double kTwoFaces = 2;
-    draw(mirrored, kTwoFaces * schlick(0.04, cosine) * emission(on - lamp.position, lamp.position),
-         kLampRadiusMetres);
+    const double reflectance =
+        kTwoFaces * schlick(0.04, cosine) * emission(on - lamp.position, lamp.position);
+    if (const auto disk = project(lens, sceneFromCamera.inverse() * mirrored, kLampRadiusMetres)) {
+      drawDisk(*disk, reflectance * kLampRadiance, true, frame);
+    }
   }
   const double top = stillLife->tableHeight();
   if (lamp.position.z() > top) {
@@ -409,7 +409,7 @@ void SourceView::State::drawReflections(const LampState& lamp, double share) {
       const double cosine = std::abs((mirrored - eye).normalized().z());
       const auto disk = project(lens, sceneFromCamera.inverse() * mirrored, 2 * kLampRadiusMetres);
       if (disk) {
-        const double radiance = share * kTableGloss * schlick(0.04, cosine) * kLampRadiance / 4;
+        const double radiance = kTableGloss * schlick(0.04, cosine) * kLampRadiance / 4;
         drawGlare(disk->centre, radiance * disk->area() / kHaloShare * 0.25, frame);
       }
     }
@@ -485,7 +485,7 @@ const std::vector<float>& SourceView::render(double timeSeconds, double exposure
     const Vector2d ghost = middle - 0.45 * (disk->centre - middle);
     s.drawDisk(Disk{ghost, 9 * Matrix2d::Identity()}, flux * kGhostShare / 250, false, s.frame);
   }
-  s.drawReflections(lamp, 1);
+  s.drawReflections(lamp);
   return s.frame;
 }
 
