@@ -310,7 +310,8 @@ Result<CompressResult> compressUnguarded(const Sketch& sketch, const CompressOpt
   start = Clock::now();
   auto q = static_cast<int>(std::min(L.rows(), L.cols()));
   if (options.rank > 0) q = std::min(q, options.rank);
-  ASSIGN_OR_RETURN(SecondStage second, factoriseAll(L, q, SecondStageMethod::kAuto, progress));
+  ASSIGN_OR_RETURN(SecondStage second,
+                   factoriseAll(std::move(L), q, SecondStageMethod::kAuto, progress));
   model.U = std::move(second.U);
   model.V = std::move(second.V);
   summary.stage2Seconds = secondsSince(start);
@@ -346,6 +347,8 @@ Result<CompressResult> compressUnguarded(const Sketch& sketch, const CompressOpt
   model.sketch = sketch.folder().filename().string();
   model.software = kSoftware;
   model.notes = summary.toJson();
+  for (const char* seconds : {"readSeconds", "stage1Seconds", "stage2Seconds"})
+    model.notes.erase(seconds);
   return result;
 }
 

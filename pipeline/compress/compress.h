@@ -19,7 +19,7 @@ struct CompressOptions {
   int blockRank = 10;  // b; 0, or more than there are pixels in a block: full
   int rank = 200;      // q; 0, or more than there can be: full
   Storage storage = Storage::kFloat16;
-  std::string holdOutRule;  // see applyHoldOut
+  std::string holdOutRule = {};  // see applyHoldOut
   // Nodes of the hemispherical direction grid that the captured lights are densified to (those out
   // of reach of every captured light are left out).
   static constexpr int kDensifyAuto = -1;  // by the number of captures
@@ -29,7 +29,7 @@ struct CompressOptions {
   std::size_t memoryLimitBytes = 1'500'000'000;
   // Where the decoded images (6 bytes a pixel) wait; nothing is left there. Empty: the system's
   // temporary folder.
-  std::filesystem::path scratchFolder;
+  std::filesystem::path scratchFolder = {};
 
   Result<void> validate() const;
 };

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <random>
 #include <stdexcept>
+#include <utility>
 #include <vector>
 
 namespace lightsketch {
@@ -251,16 +252,23 @@ void factoriseBlock(std::span<const float> columns, std::span<const bool> inPict
               count);
 }
 
-Result<SecondStage> factoriseAll(const RowMajorMatrixf& L, int q, SecondStageMethod method,
+Result<SecondStage> factoriseAll(RowMajorMatrixf L, int q, SecondStageMethod method,
                                  Progress& progress) {
   const auto side = static_cast<int>(std::min(L.rows(), L.cols()));
+  const bool full = method == SecondStageMethod::kAuto && q == side;
   SecondStage result;
-  result.exact =
-      method == SecondStageMethod::kExact || (method == SecondStageMethod::kAuto && q > side / 6);
+  result.exact = full || method == SecondStageMethod::kExact ||
+                 (method == SecondStageMethod::kAuto && q > side / 6);
   progress.update(kStage, 0, 1);
-  for (Index row = 0; row < L.rows(); ++row)
+  for (Index row = 0; row < L.rows(); ++row) {
     result.totalEnergy += L.row(row).cast<double>().squaredNorm();
-  if (result.exact) {
+  }
+  if (full) {
+    const bool wide = L.rows() < L.cols();
+    (wide ? result.V : result.U) = std::move(L);
+    (wide ? result.U : result.V).setIdentity(side, side);
+    result.keptEnergy = result.totalEnergy;
+  } else if (result.exact) {
     exactStage(L, q, result, progress);
   } else {
     randomisedStage(L, q, result, progress);

@@ -42,8 +42,9 @@ enum class SecondStageMethod { kAuto, kExact, kRandomised };
 
 // Stage 2: the best factorisation of rank q, L ~ U V. Exact, through the Gram matrix of L's smaller
 // side in double precision, or randomised with two power iterations (Halko, Martinsson, Tropp 2011,
-// algorithms 4.4 and 5.1) where q is a small part of that side. Uses all cores.
-Result<SecondStage> factoriseAll(const RowMajorMatrixf& L, int q, SecondStageMethod method,
+// algorithms 4.4 and 5.1) where q is a small part of that side. At full rank L itself is one factor
+// and an identity the other, unless kExact insists. Uses all cores.
+Result<SecondStage> factoriseAll(RowMajorMatrixf L, int q, SecondStageMethod method,
                                  Progress& progress);
 
 }  // namespace lightsketch

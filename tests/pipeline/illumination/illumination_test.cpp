@@ -46,16 +46,38 @@ TEST(EnvironmentRadiance, FollowsTheLatLongOfOpenExr) {
   }
 }
 
-// The labelled map shows "+X", "-X", "+Y", ... in a colour of its own each; its border between
-// faces is at 45 degrees. Sampled beside the labels, the six faces must come out in six distinct
-// colours, and each where OpenEXR's own drawing has it: the face's colour is constant around its
-// axis.
-TEST(EnvironmentRadiance, FindsTheFacesOfTheLabelledMap) {
+// The labelled map draws, on each of its four level faces, dark arms of the coordinate cross from
+// the face's centre towards the positive axes; towards the negative ones there is none.
+TEST(EnvironmentRadiance, FindsTheAxesOfTheLabelledMap) {
   const std::filesystem::path path =
       LIGHTSKETCH_SOURCE_DIR "/../shared/data/env/orientation/OrientationLatLong.exr";
   if (!std::filesystem::exists(path)) GTEST_SKIP() << path << " is not here";
   const auto map = readImage(path);
   ASSERT_TRUE(map) << map.error().message;
+  // Darkest blue (its text is light blue) within half a degree, against lines two texels wide.
+  const auto darkest = [&](const Vector3d& direction) {
+    float least = 1;
+    for (double dx : {-0.008, 0.0, 0.008}) {
+      for (double dy : {-0.008, 0.0, 0.008}) {
+        for (double dz : {-0.008, 0.0, 0.008}) {
+          least = std::min(
+              least,
+              environmentRadiance(*map, (direction + Vector3d(dx, dy, dz)).normalized()).z());
+        }
+      }
+    }
+    return least;
+  };
+  const Vector3d x = Vector3d::UnitX();
+  const Vector3d y = Vector3d::UnitY();
+  const Vector3d z = Vector3d::UnitZ();
+  const std::pair<Vector3d, Vector3d> faces[] = {{x, z}, {-x, z}, {z, x}, {-z, x}};
+  for (const auto& [face, across] : faces) {
+    EXPECT_LT(darkest(face + 0.2 * y), 0.3f) << face.transpose();
+    EXPECT_LT(darkest(face + 0.2 * across), 0.3f) << face.transpose();
+    EXPECT_GT(darkest(face - 0.25 * y), 0.45f) << face.transpose();
+    EXPECT_GT(darkest(face - 0.2 * across), 0.45f) << face.transpose();
+  }
 }
 
 TEST(EnvironmentIntensities, OfAConstantMapAreTheSolidAngles) {
