@@ -463,15 +463,18 @@ Result<void> AravisCamera::setExposure(std::optional<double> seconds,
     const std::lock_guard lock(link_->mutex);
     link_->exposures.beginChange();
   }
+  // What is set by hand must not be set by the camera.
   Result<void> done;
-  if (seconds) {
-    arv_camera_set_exposure_time(camera_.get(), *seconds * 1e6, error.out());
-    if (error) done = failed("set the exposure time", error);
+  if (seconds && arv_camera_is_exposure_auto_available(camera_.get(), error.out())) {
+    arv_camera_set_exposure_time_auto(camera_.get(), ARV_AUTO_OFF, error.out());
   }
-  if (gainDb && done) {
-    arv_camera_set_gain(camera_.get(), *gainDb, error.out());
-    if (error) done = failed("set the gain", error);
+  if (seconds && !error) arv_camera_set_exposure_time(camera_.get(), *seconds * 1e6, error.out());
+  if (error) done = failed("set the exposure time", error);
+  if (gainDb && done && arv_camera_is_gain_auto_available(camera_.get(), error.out())) {
+    arv_camera_set_gain_auto(camera_.get(), ARV_AUTO_OFF, error.out());
   }
+  if (gainDb && done && !error) arv_camera_set_gain(camera_.get(), *gainDb, error.out());
+  if (done && error) done = failed("set the gain", error);
   const auto actual = exposure();  // what the camera made of it, also if it refused
   const std::lock_guard lock(link_->mutex);
   link_->exposures.endChange(actual.value_or(link_->exposures.current()));
@@ -500,7 +503,9 @@ Result<ExposureSetting> AravisCamera::exposure() const {
   ExposureSetting setting;
   setting.seconds = 1e-6 * arv_camera_get_exposure_time(camera_.get(), error.out());
   if (error) return failed("read the exposure time", error);
-  setting.gainDb = arv_camera_get_gain(camera_.get(), error.out());
+  if (arv_camera_is_gain_available(camera_.get(), error.out())) {
+    setting.gainDb = arv_camera_get_gain(camera_.get(), error.out());
+  }
   if (error) return failed("read the gain", error);
   return setting;
 }
@@ -525,7 +530,10 @@ Result<CameraSettings> AravisCamera::settings() const {
   ASSIGN_OR_RETURN(const ExposureSetting setting, exposure());
   settings.exposureSeconds = setting.seconds;
   settings.gainDb = setting.gainDb;
-  settings.framesPerSecond = arv_camera_get_frame_rate(camera_.get(), error.out());
+  settings.framesPerSecond = 0;  // as it comes
+  if (arv_camera_is_frame_rate_available(camera_.get(), error.out())) {
+    settings.framesPerSecond = arv_camera_get_frame_rate(camera_.get(), error.out());
+  }
   if (error) return failed("read the frame rate", error);
   return settings;
 }
