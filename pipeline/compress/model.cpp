@@ -59,7 +59,8 @@ class Handle {
   herr_t (*close_)(hid_t);
 };
 
-// IEEE 754 half, which h5py knows as float16.
+// IEEE 754 half, which h5py knows as float16. Conversion is ours: libhdf5 1.10 loses the carry into
+// the exponent when it rounds (0.24999 became 0.125).
 hid_t makeHalfType() {
   const hid_t type = H5Tcopy(H5T_IEEE_F32LE);
   H5Tset_fields(type, 15, 10, 5, 0, 10);
@@ -67,6 +68,9 @@ hid_t makeHalfType() {
   H5Tset_ebias(type, 15);
   return type;
 }
+
+using HalfMatrix = Eigen::Matrix<Eigen::half, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
+constexpr float kLargestHalf = 65504;
 
 using Shape = std::vector<hsize_t>;
 
@@ -196,10 +200,23 @@ class Reader {
     ASSIGN_OR_RETURN(const Shape extents, shape(name, 2));
     RowMajorMatrixf values2d(static_cast<Eigen::Index>(extents[0]),
                              static_cast<Eigen::Index>(extents[1]));
-    RETURN_IF_ERROR(values(name, H5T_NATIVE_FLOAT, values2d.data()));
+    if (storage(name) == Storage::kFloat16) {
+      const Handle half(makeHalfType(), H5Tclose);
+      HalfMatrix halfs(values2d.rows(), values2d.cols());
+      RETURN_IF_ERROR(values(name, half, halfs.data()));
+      values2d = halfs.cast<float>();
+    } else {
+      RETURN_IF_ERROR(values(name, H5T_NATIVE_FLOAT, values2d.data()));
+    }
     if (!values2d.allFinite())
       return failure(ErrorCode::kCorrupt, "{}: dataset {} is not finite", where_, name);
     return values2d;
+  }
+
+  Storage storage(const char* name) {
+    const Handle set(H5Dopen2(file_, name, H5P_DEFAULT), H5Dclose);
+    const Handle type(H5Dget_type(set), H5Tclose);
+    return H5Tget_size(type) == 2 ? Storage::kFloat16 : Storage::kFloat32;
   }
 
   template <class T>
@@ -288,11 +305,15 @@ bool writeContent(const RelightableModel& model, const std::filesystem::path& pa
   if (!file) return false;
   Writer writer(file);
   const Handle half(makeHalfType(), H5Tclose);
-  const hid_t stored =
-      model.storage == Storage::kFloat16 ? static_cast<hid_t>(half) : H5T_IEEE_F32LE;
   const auto matrix = [&](const char* name, const RowMajorMatrixf& values) {
-    writer.dataset(name, {static_cast<hsize_t>(values.rows()), static_cast<hsize_t>(values.cols())},
-                   stored, H5T_NATIVE_FLOAT, values.data());
+    const Shape shape{static_cast<hsize_t>(values.rows()), static_cast<hsize_t>(values.cols())};
+    if (model.storage == Storage::kFloat16) {
+      const HalfMatrix halfs =
+          values.cwiseMax(-kLargestHalf).cwiseMin(kLargestHalf).cast<Eigen::half>();
+      writer.dataset(name, shape, half, half, halfs.data());
+    } else {
+      writer.dataset(name, shape, H5T_IEEE_F32LE, H5T_NATIVE_FLOAT, values.data());
+    }
   };
   const auto integers = [&](const char* name, const std::vector<int>& values) {
     writer.dataset(name, {values.size()}, H5T_STD_I32LE, H5T_NATIVE_INT, values.data());
@@ -421,9 +442,7 @@ Result<RelightableModel> readContent(hid_t file, const std::filesystem::path& pa
   ASSIGN_OR_RETURN(model.software, reader.text("software"));
   ASSIGN_OR_RETURN(const std::string notes, reader.text("notes"));
   ASSIGN_OR_RETURN(model.notes, parseJson(notes, path.string() + ": notes"));
-  const Handle set(H5Dopen2(file, "E", H5P_DEFAULT), H5Dclose);
-  const Handle type(H5Dget_type(set), H5Tclose);
-  model.storage = H5Tget_size(type) == 2 ? Storage::kFloat16 : Storage::kFloat32;
+  model.storage = reader.storage("E");
   return model;
 }
 
