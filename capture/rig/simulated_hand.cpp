@@ -22,13 +22,13 @@ constexpr double kDegree = std::numbers::pi / 180;
 constexpr double kReactionSeconds = 0.25;
 constexpr double kReactionSpread = 0.04;
 constexpr double kLampOffReactionSeconds = 0.3;
-constexpr double kPeakSpeed = 75 * kDegree;           // per second
-constexpr double kPassingSpeed = 20 * kDegree;        // with which a target is swept over
-constexpr double kSpeedPerDistance = 2.5;             // per second
+constexpr double kPeakSpeed = 60 * kDegree;           // per second
+constexpr double kPassingSpeed = 28 * kDegree;        // with which a target is swept over
+constexpr double kSpeedPerDistance = 1.8;             // per second
 constexpr double kSpeedLag = 0.06;                    // seconds
 constexpr double kPeakAcceleration = 450 * kDegree;   // per second squared
 constexpr double kArrivalAngle = 1.5 * kDegree;
-constexpr double kCoastSeconds = 0.15;                // decay of the speed after a target
+constexpr double kCoastSeconds = 0.22;                // decay of the speed after a target
 constexpr double kPatienceSeconds = 0.4;              // then it turns back to the last target
 
 constexpr double kTremorHertz = 9.5;
