@@ -13,6 +13,12 @@ constexpr double kMinimumArea = 4;  // single hot pixels are not lamps
 constexpr std::size_t kMostBlobs = 8;
 constexpr std::size_t kMostRuns = 20000;  // more is a scene that changed as a whole, not a lamp
 
+// How much a pixel is above the background, as a lamp counts it.
+inline int excess(int now, int before) {
+  const int difference = now - before;
+  return now >= kSaturated && difference > kFullScale / 10 ? kFullScale : difference;
+}
+
 // Pixels x0 to x1 - 1 of a row that are above the threshold.
 struct Run {
   int y, x0, x1;
@@ -41,9 +47,9 @@ std::vector<Run> connectedRuns(const Image<std::uint16_t>& counts,
       const std::uint16_t* before = level.row(y).data();
       std::size_t above = aboveBegin;
       for (int x = 0; x < counts.width(); ++x) {
-        if (now[x] - before[x] <= threshold) continue;
+        if (excess(now[x], before[x]) <= threshold) continue;
         Run run{y, x, x, static_cast<int>(runs.size())};
-        while (x < counts.width() && now[x] - before[x] > threshold) ++x;
+        while (x < counts.width() && excess(now[x], before[x]) > threshold) ++x;
         run.x1 = x;
         runs.push_back(run);
         if (runs.size() > kMostRuns) return {};
@@ -59,10 +65,6 @@ std::vector<Run> connectedRuns(const Image<std::uint16_t>& counts,
     aboveEnd = runs.size();
   }
   return runs;
-}
-
-bool overlap(const Region& a, const Region& b) {
-  return a.x < b.x + b.width && b.x < a.x + a.width && a.y < b.y + b.height && b.y < a.y + a.height;
 }
 
 // Light around the spot that is not of the spot (a lit wall, veiling glare): median of the
@@ -86,39 +88,45 @@ int surroundings(const Image<std::uint16_t>& counts, const Image<std::uint16_t>&
 
 void measure(Blob& blob, const Image<std::uint16_t>& counts, const Background& background) {
   const Image<std::uint16_t>& level = background.level();
+  const Region& box = blob.box;
   int peak = 0;
-  for (int y = blob.box.y; y < blob.box.y + blob.box.height; ++y) {
-    for (int x = blob.box.x; x < blob.box.x + blob.box.width; ++x) {
-      peak = std::max(peak, counts(x, y) >= kSaturated ? kFullScale : counts(x, y) - level(x, y));
+  for (int y = box.y; y < box.y + box.height; ++y) {
+    for (int x = box.x; x < box.x + box.width; ++x) {
+      peak = std::max(peak, excess(counts(x, y), level(x, y)));
     }
   }
   // The halo belongs to the lamp: it is symmetric about it and not clipped by saturation.
-  const int margin = 4 + static_cast<int>(0.8 * std::sqrt(blob.area / M_PI));
-  const int x0 = std::max(0, blob.box.x - margin);
-  const int y0 = std::max(0, blob.box.y - margin);
-  const int x1 = std::min(counts.width(), blob.box.x + blob.box.width + margin);
-  const int y1 = std::min(counts.height(), blob.box.y + blob.box.height + margin);
+  const int margin = 6 + static_cast<int>(1.5 * std::sqrt(blob.area / M_PI));
+  const int x0 = std::max(0, box.x - margin);
+  const int y0 = std::max(0, box.y - margin);
+  const int x1 = std::min(counts.width(), box.x + box.width + margin);
+  const int y1 = std::min(counts.height(), box.y + box.height + margin);
   blob.window = {x0, y0, x1 - x0, y1 - y0};
-  blob.cut = blob.box.x == 0 || blob.box.y == 0 || blob.box.x + blob.box.width == counts.width() ||
-             blob.box.y + blob.box.height == counts.height();
+  blob.cut = box.x == 0 || box.y == 0 || box.x + box.width == counts.width() ||
+             box.y + box.height == counts.height();
 
   const int base = surroundings(counts, level, blob.window);
-  // Weights rise from a tenth to half of the peak and stay there: a saturated core neither
-  // dominates nor, in front of a lit background, counts for less than its rim.
-  const int floor = std::max(peak / 10, static_cast<int>(4 * background.noise()));
-  const int ceiling = std::max(peak / 2, floor + 1);
+  // Weights rise from half of the peak to near it: the halo is brighter on the side of a lit wall
+  // than on that of the arm, and would draw the centroid (0.25 degrees on the simulated rig).
+  const int floor = peak / 2;
+  const int ceiling = std::max(peak * 85 / 100, floor + 1);
+  constexpr int kClose = 3;  // pixels
   double sum = 0, sx = 0, sy = 0, sxx = 0, sxy = 0, syy = 0, staticPixels = 0;
   double vxx = 0, vxy = 0, vyy = 0;
   for (int y = y0; y < y1; ++y) {
     for (int x = x0; x < x1; ++x) {
-      if (background.isStaticLight(x, y)) staticPixels += 1;
-      const bool saturated = counts(x, y) >= kSaturated;
-      const int above = saturated ? kFullScale : counts(x, y) - level(x, y) - base;
+      const bool close = x >= box.x - kClose && x < box.x + box.width + kClose &&
+                         y >= box.y - kClose && y < box.y + box.height + kClose;
+      if (background.isStaticLight(x, y)) {
+        if (close) staticPixels += 1;
+        continue;
+      }
+      const int above = excess(counts(x, y), level(x, y) + base);
       if (above < kFullScale / 4) blob.halo += above;  // signed, so that noise cancels
       if (above <= 0) continue;
       blob.flux += above;
       const double w = std::clamp(above, floor, ceiling) - floor;
-      if (w <= 0) continue;
+      if (w <= 0 || !close) continue;
       const double dx = x + 0.5 - blob.pixel.x();
       const double dy = y + 0.5 - blob.pixel.y();
       sum += w;
@@ -158,14 +166,13 @@ std::vector<Blob> findBlobs(const Image<std::uint16_t>& counts, const Background
     const std::uint16_t* before = level.row(y).data();
     std::int16_t peak = 0;  // counts stay below 2^15
     for (int x = 0; x < counts.width(); ++x) {
-      const auto difference = static_cast<std::int16_t>(now[x] - before[x]);
-      peak = std::max(peak, difference);
+      peak = std::max(peak, static_cast<std::int16_t>(excess(now[x], before[x])));
     }
     rowPeak[static_cast<std::size_t>(y)] = peak;
   }
   const int brightest = *std::max_element(rowPeak.begin(), rowPeak.end());
   const int lowest = std::max(static_cast<int>(10 * background.noise()), kFullScale / 20);
-  const int threshold = std::max(lowest, brightest / 3);
+  const int threshold = std::max(lowest, brightest * 4 / 5);
   if (brightest <= threshold) return {};
 
   std::vector<Run> runs = connectedRuns(counts, level, rowPeak, threshold);
@@ -197,9 +204,11 @@ std::vector<Blob> findBlobs(const Image<std::uint16_t>& counts, const Background
     blob.pixel /= blob.area;
     measure(blob, counts, background);
   }
-  for (std::size_t i = 0; i < blobs.size(); ++i) {
-    for (std::size_t j = 0; j < blobs.size(); ++j) {
-      if (i != j && overlap(blobs[i].window, blobs[j].box)) blobs[i].crowded = true;
+  for (Blob& a : blobs) {
+    for (const Blob& b : blobs) {
+      const double apart = (a.pixel - b.pixel).norm();
+      const double sizes = std::sqrt(a.area / M_PI) + std::sqrt(b.area / M_PI);
+      if (&a != &b && apart < 2 * sizes + 4) a.crowded = true;
     }
   }
   std::sort(blobs.begin(), blobs.end(),

@@ -10,23 +10,25 @@
 namespace lightsketch {
 
 struct Blob {
-  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();               // centroid
-  Eigen::Matrix2d moments = Eigen::Matrix2d::Zero();             // second moments, pixels^2
+  Eigen::Vector2d pixel = Eigen::Vector2d::Zero();    // centroid
+  Eigen::Matrix2d moments = Eigen::Matrix2d::Zero();  // second moments, pixels^2
   Eigen::Matrix2d centroidCovariance = Eigen::Matrix2d::Zero();  // from pixel noise
-  Region box;       // of the pixels above the threshold
-  Region window;    // what was measured: the box and its surroundings
-  double area = 0;  // pixels above the threshold
-  double flux = 0;  // sum above background and surroundings, units of saturation
+  Region box;        // of the pixels above the threshold
+  Region window;     // what was measured: the box and its surroundings
+  double area = 0;   // pixels above the threshold
+  double flux = 0;   // sum above background and surroundings, units of saturation
   // The part of it in pixels below a quarter of the full scale: two lights with saturated cores of
   // one size, a lamp and its image in a glass, differ here.
   double halo = 0;
-  double staticFraction = 0;  // pixels of the window on static lights, relative to the area
+  double staticFraction = 0;  // pixels on static lights in and close to the box, relative to the area
   bool cut = false;           // by the picture's border
-  bool crowded = false;       // another blob lies in its window
+  bool crowded = false;       // another blob is so close that they disturb each other
 };
 
-// The strongest blobs, brightest first, at most eight. The threshold is a third of the brightest
-// difference, within limits from the noise and the full scale.
+// The strongest blobs, brightest first, at most eight: where the excess over the background is above
+// four fifths of the largest excess in the picture. That high, since a lamp lights the walls beside it,
+// too. A pixel that became saturated has full excess, so that a lamp before a bright window is as
+// bright as one before a dark wall.
 std::vector<Blob> findBlobs(const Image<std::uint16_t>& counts, const Background& background);
 
 }  // namespace lightsketch

@@ -25,7 +25,7 @@ constexpr int kLearnFromTracking = 8;  // frames that track() learns from if nob
 constexpr int kFewestLearned = 3;
 
 // Motion of a hand, at the source camera.
-constexpr Angle kGateSlack = Angle::degrees(1.5);
+constexpr Angle kGateSlack = Angle::degrees(2);
 constexpr double kGateAcceleration = 5;                        // rad/s^2
 constexpr double kFastestHand = Angle::degrees(90).radians();  // a second
 constexpr Angle kWidestGate = Angle::degrees(15);
@@ -110,7 +110,6 @@ struct Track {
   double travelled = 0;  // largest distance from birth, radians
   double travelledPixels = 0;
   double logFlux = 0;  // smoothed over accepted frames
-  double logHalo = 0;
   int besideLamp = 0;  // frames in which the lamp was elsewhere at the same time
   bool reflection = false;
   int candidate = -1;  // in this frame
@@ -301,7 +300,6 @@ void LampTracker::State::associate(const std::vector<Candidate>& candidates, Tim
     track.time = time;
     track.hits = track.proven = 1;
     track.logFlux = candidates[c].logFlux;
-    track.logHalo = candidates[c].logHalo;
     track.candidate = static_cast<int>(c);
     tracks.push_back(track);
   }
@@ -424,17 +422,14 @@ TrackResult LampTracker::State::judge(const std::vector<Candidate>& candidates,
     return TrackResult{state, std::nullopt, std::move(reason)};
   };
   Track* track = find(lamp);
-  if (track == nullptr) lamp = 0;
-  if (track == nullptr) {
+  if (track == nullptr || track->candidate < 0) {
     if (candidates.empty()) return none(TrackState::kLost, "no lamp in view");
     std::string reason;
     track = acquire(candidates, reason);
     if (track == nullptr) return none(TrackState::kAmbiguous, std::move(reason));
     lamp = track->id;
     track->logFlux = candidates[static_cast<std::size_t>(track->candidate)].logFlux;
-    track->logHalo = candidates[static_cast<std::size_t>(track->candidate)].logHalo;
   }
-  if (track->candidate < 0) return none(TrackState::kLost, "covered or switched off");
   const Candidate& candidate = candidates[static_cast<std::size_t>(track->candidate)];
 
   const double pixelsPerRadian =
@@ -480,7 +475,6 @@ TrackResult LampTracker::State::judge(const std::vector<Candidate>& candidates,
 
   const LampObservation seen = observe(*track, candidate, candidates, metadata, smear);
   track->logFlux += 0.3 * (candidate.logFlux - track->logFlux);
-  track->logHalo += 0.3 * (candidate.logHalo - track->logHalo);
   flux.add(candidate.direction, candidate.logFlux);
   halo.add(candidate.direction, candidate.logHalo);
   trail.push_back(seen);
