@@ -115,14 +115,15 @@ class System {
     return (w - inverse_.col(i) * (w[i] / inverse_(i, i))).head(count());
   }
 
-  // Leave-one-out errors e_i = (B y)_i / b_ii (Rippa 1999), one row per light. False if the lights
-  // but one do not determine the trend.
-  bool leaveOneOut(const MatrixXd& samples, MatrixXd& errors) const {
-    const auto n = count();
-    const VectorXd diagonal = inverse_.diagonal().head(n);
-    if (diagonal.minCoeff() <= 0) return false;
-    errors = diagonal.cwiseInverse().asDiagonal() * (inverse_.topLeftCorner(n, n) * samples);
-    return true;
+  // Squared leave-one-out errors of the first lights, e_i = (B y)_i / b_ii (Rippa 1999), summed
+  // over all samples y: b_i^T (sum of y y^T) b_i / b_ii^2. Nothing if the lights but one do not
+  // determine the trend.
+  std::optional<VectorXd> leaveOneOut(const MatrixXd& products, Eigen::Index targets) const {
+    const VectorXd diagonal = inverse_.diagonal().head(targets);
+    if (diagonal.minCoeff() <= 0) return std::nullopt;
+    const MatrixXd rows = inverse_.topLeftCorner(targets, count());
+    const VectorXd sums = (rows * products).cwiseProduct(rows).rowwise().sum();
+    return VectorXd(sums.cwiseQuotient(diagonal.cwiseAbs2()));
   }
 
  private:
@@ -301,18 +302,19 @@ Result<InterpolationSettings> chooseInterpolation(std::span<const Vector3d> ligh
   // neighbourhoods with only their first light left out.
   struct Neighbourhood {
     std::vector<Vector3d> lights;
-    MatrixXd samples;
+    MatrixXd products;         // sum over the samples of y y^T
     Eigen::Index targets = 0;  // the first ones
   };
   std::vector<Neighbourhood> neighbourhoods;
   const auto gather = [&](const std::vector<std::size_t>& chosen, Eigen::Index targets) {
-    Neighbourhood part{
-        {}, MatrixXd(static_cast<Eigen::Index>(chosen.size()), samples.cols()), targets};
+    MatrixXd rows(static_cast<Eigen::Index>(chosen.size()), samples.cols());
+    Neighbourhood part{{}, {}, targets};
     for (std::size_t k = 0; k < chosen.size(); ++k) {
       part.lights.push_back(lights[chosen[k]]);
-      part.samples.row(static_cast<Eigen::Index>(k)) =
+      rows.row(static_cast<Eigen::Index>(k)) =
           samples.row(static_cast<Eigen::Index>(chosen[k])).cast<double>();
     }
+    part.products = rows * rows.transpose();
     neighbourhoods.push_back(std::move(part));
   };
   if (lights.size() <= kMaxSystem / 2) {
@@ -339,13 +341,13 @@ Result<InterpolationSettings> chooseInterpolation(std::span<const Vector3d> ligh
         bool determined = true;
         for (const auto& part : neighbourhoods) {
           const auto system = System::solve(part.lights, kernel, degree, nugget);
-          MatrixXd residuals;
-          if (!system || !system->leaveOneOut(part.samples, residuals)) {
+          const auto squared =
+              system ? system->leaveOneOut(part.products, part.targets) : std::nullopt;
+          if (!squared) {
             determined = false;
             break;
           }
-          const VectorXd squared = residuals.topRows(part.targets).rowwise().squaredNorm();
-          for (double& e : error) e += squared.sum();
+          for (double& e : error) e += squared->sum();
           if (part.targets == 1) continue;
           // Only a corner of the hull lies outside the hull of the others; only there clamps
           // differ.
@@ -357,9 +359,9 @@ Result<InterpolationSettings> chooseInterpolation(std::span<const Vector3d> ligh
             for (int c = 1; c < 3; ++c) {
               const Vector3d query =
                   clamped(part.lights[static_cast<std::size_t>(corner)], hull, kClamps[c]);
-              const VectorXd w = system->weightsWithout(corner, query);
-              error[c] += (w.transpose() * part.samples - part.samples.row(corner)).squaredNorm() -
-                          squared[corner];
+              VectorXd residual = system->weightsWithout(corner, query);
+              residual[corner] -= 1;
+              error[c] += residual.dot(part.products * residual) - (*squared)[corner];
             }
           }
         }
