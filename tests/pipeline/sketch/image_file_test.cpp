@@ -2,8 +2,10 @@
 
 #include <OpenEXR/ImfChannelList.h>
 #include <OpenEXR/ImfDoubleAttribute.h>
+#include <OpenEXR/ImfFrameBuffer.h>
 #include <OpenEXR/ImfHeader.h>
 #include <OpenEXR/ImfInputFile.h>
+#include <OpenEXR/ImfOutputFile.h>
 #include <OpenEXR/ImfStandardAttributes.h>
 #include <OpenEXR/ImfStringAttribute.h>
 #include <gtest/gtest.h>
@@ -61,6 +63,26 @@ TEST(Exr, HeaderCarriesAttributesAndRec709Chromaticities) {
   ASSERT_TRUE(Imf::hasChromaticities(file.header()));
   EXPECT_EQ(Imf::chromaticities(file.header()).red.x, 0.64f);
   EXPECT_EQ(Imf::chromaticities(file.header()).white.y, 0.329f);
+}
+
+TEST(Exr, AGreyFloatImageWithAnOffsetWindowIsReadWhole) {
+  const TemporaryFolder folder;
+  std::vector<float> pixels(12);
+  for (std::size_t i = 0; i < pixels.size(); ++i) pixels[i] = 0.1f * static_cast<float>(i);
+  const Imath::Box2i window({-3, 5}, {0, 7});  // 4 x 3 pixels
+  {
+    Imf::Header header(Imath::Box2i({0, 0}, {9, 9}), window);
+    header.channels().insert("Y", Imf::Channel(Imf::FLOAT));
+    Imf::FrameBuffer buffer;
+    buffer.insert("Y", Imf::Slice::Make(Imf::FLOAT, pixels.data(), window));
+    Imf::OutputFile file((folder / "y.exr").c_str(), header);
+    file.setFrameBuffer(buffer);
+    file.writePixels(3);
+  }
+  const auto image = readImage(folder / "y.exr").value();
+  ASSERT_EQ(image.width(), 4);
+  ASSERT_EQ(image.height(), 3);
+  for (std::size_t i = 0; i < image.size(); ++i) EXPECT_EQ(image.values()[i], pixels[i / 3]);
 }
 
 TEST(Exr, EveryTruncationIsRefused) {
