@@ -20,7 +20,7 @@ constexpr double kFocalY = 345.1;
 constexpr double kCentreX = 483.7;
 constexpr double kCentreY = 476.2;
 constexpr double kRipple = 0.0007;
-constexpr double kSqueeze = 0.00008;
+constexpr double kSqueeze = 0.00005;
 
 Vector2d projectUnbounded(const Vector3d& direction) {
   const double radius = std::hypot(direction.x(), direction.y());
@@ -31,8 +31,8 @@ Vector2d projectUnbounded(const Vector3d& direction) {
   const double d = (1.62 * std::sin(theta / 1.62) + kRipple * theta * std::sin(5.5 * theta)) *
                    (1 + kSqueeze * theta * theta * cos3);
   // Decentring that grows with the angle itself, unlike Brown's, which grows with d squared.
-  const double x = d * c + 0.0004 * theta * theta * (1 + 0.6 * c * s);
-  const double y = d * s - 0.0006 * theta * theta * (1 + 0.6 * s * s);
+  const double x = d * c + 0.0002 * theta * theta * (1 + 0.6 * c * s);
+  const double y = d * s - 0.0003 * theta * theta * (1 + 0.6 * s * s);
   return {kFocalX * x + kCentreX, kFocalY * y + kCentreY};
 }
 

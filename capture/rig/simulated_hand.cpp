@@ -268,7 +268,8 @@ LampState SimulatedHand::at(double timeSeconds) const {
 
 LampState SpiralMotion::at(double timeSeconds) const {
   // Down from the zenith and up again, so that the loop closes; equal areas in equal times.
-  const double phase = std::fmod(timeSeconds / periodSeconds_, 1.0);
+  const double turns = timeSeconds / periodSeconds_;
+  const double phase = turns - std::floor(turns);
   const double z = 0.98 - 0.9 * (phase < 0.5 ? 2 * phase : 2 - 2 * phase);
   const double azimuth = 2 * std::numbers::pi * 6 * phase;
   const double r = std::sqrt(1 - z * z);

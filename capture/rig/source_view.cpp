@@ -34,7 +34,7 @@ constexpr double kLampRadiance =
 constexpr double kBlurPixels = 0.8;
 constexpr double kHaloShare = 5e-4, kHaloPixels = 9;    // Gaussian
 constexpr double kVeilShare = 2.5e-4, kVeilPixels = 14; // (1 + r^2 / s^2)^-2, integral pi s^2
-constexpr double kGhostShare = 3e-6;                    // lens reflection, mirrored at the centre
+constexpr double kGhostShare = 3e-6, kGhostPixels = 9;   // lens reflection, mirrored at the centre
 constexpr int kGlareReach = 130;                        // pixels
 
 constexpr double kHandRadius = 0.05;     // metres
@@ -132,7 +132,7 @@ struct SourceView::State {
   void lightWalls(const LampState& lamp);
   void drawArm(const LampState& lamp);
   void drawCover(const LampState& lamp);
-  void drawDisk(const Disk& disk, double radiance, bool glare, std::vector<float>& out) const;
+  void drawDisk(const Disk& disk, double radiance, double glare, std::vector<float>& out) const;
   void drawGlare(const Vector2d& centre, double flux, std::vector<float>& out) const;
   void drawShadow(const Vector3d& position, double radius);
   void drawReflections(const LampState& lamp);
@@ -184,7 +184,7 @@ void SourceView::State::prepare() {
   for (const auto& spot : room.spots()) {
     const Vector3d inCamera = sceneFromCamera.inverse() * spot.position.cast<double>();
     if (const auto disk = project(lens, inCamera, spot.radius)) {
-      drawDisk(*disk, spot.radiance, true, still);
+      drawDisk(*disk, spot.radiance, 1, still);
     }
   }
 }
@@ -337,9 +337,9 @@ void SourceView::State::drawGlare(const Vector2d& centre, double flux, std::vect
   }
 }
 
-// The disk itself, blurred by the optics and hidden by what is close, and the glare of the part that
-// gets into the lens. Small ones become a Gaussian of the same flux.
-void SourceView::State::drawDisk(const Disk& disk, double radiance, bool glare,
+// The disk itself, blurred by the optics and hidden by what is close, and `glare` (0 to 1) of the
+// glare of the part that is seen. Small disks become a Gaussian of the same flux.
+void SourceView::State::drawDisk(const Disk& disk, double radiance, double glare,
                                  std::vector<float>& out) const {
   const Matrix2d inverse = disk.axes.inverse();
   const Eigen::JacobiSVD<Matrix2d> svd(disk.axes);
@@ -372,8 +372,8 @@ void SourceView::State::drawDisk(const Disk& disk, double radiance, bool glare,
       seen += value * open[pixel];
     }
   }
-  if (!glare || all <= 0) return;
-  const double flux = radiance * disk.area() * seen / all;
+  if (glare <= 0 || all <= 0) return;
+  const double flux = glare * radiance * disk.area() * seen / all;
   drawGlare(disk.centre, flux, out);
 }
 
@@ -396,7 +396,7 @@ void SourceView::State::drawReflections(const LampState& lamp) {
     const double reflectance =
         kTwoFaces * schlick(0.04, cosine) * emission(on - lamp.position, lamp.position);
     if (const auto disk = project(lens, sceneFromCamera.inverse() * mirrored, kLampRadiusMetres)) {
-      drawDisk(*disk, reflectance * kLampRadiance, true, frame);
+      drawDisk(*disk, reflectance * kLampRadiance, 1, frame);
     }
   }
   const double top = stillLife->tableHeight();
@@ -462,28 +462,23 @@ const std::vector<float>& SourceView::render(double timeSeconds, double exposure
   const auto end = pixelAt(timeSeconds + exposureSeconds / 2);
   const double way = begin && end ? (*end - *begin).norm() : 0;
   const int steps = std::clamp(static_cast<int>(std::ceil(2 * way)), 1, 24);
+  const double uncovered = std::clamp(1.3 - 2 * lamp.cover, 0.0, 1.0);
   for (int i = 0; i < steps; ++i) {
     const double when = timeSeconds + ((i + 0.5) / steps - 0.5) * exposureSeconds;
     const Vector3d inCamera = s.sceneFromCamera.inverse() * s.motion.at(when).position;
     if (const auto disk = project(s.lens, inCamera, kLampRadiusMetres)) {
-      s.drawDisk(*disk, kLampRadiance / steps, false, s.frame);
+      s.drawDisk(*disk, kLampRadiance / steps, uncovered, s.frame);
     }
   }
   s.drawCover(lamp);
 
-  // Glare of what the hand lets through, from the middle of the way; and the mirror images, which
-  // the hand does not cover.
+  // The lens' own ghost, small and weak, opposite the centre; and the mirror images, which the hand
+  // does not cover.
   if (const auto disk = project(s.lens, s.sceneFromCamera.inverse() * lamp.position, kLampRadiusMetres)) {
-    const double seen = s.stillLife->occluded(s.sceneFromCamera.translation().cast<float>(),
-                                              lamp.position.cast<float>())
-                            ? 0
-                            : std::clamp(1.3 - 2 * lamp.cover, 0.0, 1.0);
-    const double flux = seen * kLampRadiance * disk->area();
-    if (flux > 0) s.drawGlare(disk->centre, flux, s.frame);
-    // The lens' own ghost: small and weak, opposite the centre.
     const Vector2d middle = Vector2d::Constant(kSize / 2.0);
-    const Vector2d ghost = middle - 0.45 * (disk->centre - middle);
-    s.drawDisk(Disk{ghost, 9 * Matrix2d::Identity()}, flux * kGhostShare / 250, false, s.frame);
+    const Disk ghost{middle - 0.45 * (disk->centre - middle), kGhostPixels * Matrix2d::Identity()};
+    const double flux = uncovered * kLampRadiance * disk->area();
+    s.drawDisk(ghost, flux * kGhostShare / ghost.area(), 0, s.frame);
   }
   s.drawReflections(lamp);
   return s.frame;
