@@ -16,7 +16,8 @@ class Coverage {
   explicit Coverage(LightGrid grid);
 
   const LightGrid& grid() const { return grid_; }
-  // The cell a direction falls in; nothing outside the grid's domain (with half a spacing of grace).
+  // The cell a direction falls in; nothing outside the grid's domain (with half a spacing of
+  // grace).
   std::optional<int> cellOf(const Eigen::Vector3d& direction) const;
   bool captured(int cell) const { return captured_[static_cast<std::size_t>(cell)] > 0; }
   void add(const Eigen::Vector3d& direction);

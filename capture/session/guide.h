@@ -17,8 +17,8 @@
 namespace lightsketch {
 
 // Chooses the next target ahead of time: a person needs a quarter of a second to react, so the next
-// one is shown when the lamp is about to pass the present one. How long ahead is learnt from whether
-// targets are hit or missed. Not thread-safe.
+// one is shown when the lamp is about to pass the present one. How long ahead is learnt from
+// whether targets are hit or missed. Not thread-safe.
 class GuidePlan {
  public:
   GuidePlan();

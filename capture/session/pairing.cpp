@@ -54,17 +54,16 @@ void ObservationHistory::end() {
 
 void ObservationHistory::waitFor(TimePoint time, Duration patience) const {
   std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, patience, [&] {
-    return ended_ || (!entries_.empty() && entries_.back().time >= time);
-  });
+  changed_.wait_for(lock, patience,
+                    [&] { return ended_ || (!entries_.empty() && entries_.back().time >= time); });
 }
 
 tl::expected<PairedLamp, PairingFailure> ObservationHistory::at(TimePoint time,
                                                                 Duration timeUncertainty,
                                                                 double maxSeconds) const {
   const std::lock_guard lock(mutex_);
-  const auto after =
-      std::find_if(entries_.begin(), entries_.end(), [&](const Entry& e) { return e.time >= time; });
+  const auto after = std::find_if(entries_.begin(), entries_.end(),
+                                  [&](const Entry& e) { return e.time >= time; });
   if (after == entries_.end() || after == entries_.begin()) {
     return tl::unexpected(PairingFailure::kUnpaired);
   }
@@ -119,8 +118,8 @@ LightDirection lightAtSubject(const LampObservation& lamp, const RigGeometry& ri
   const Eigen::Isometry3d& sceneFromSource = rig.sourceCameras.front().sceneFromCamera;
   const Vector3d origin = sceneFromSource.translation();
   const Vector3d ray = sceneFromSource.linear() * lamp.directionInSource;
-  const Matrix3d covariance = sceneFromSource.linear() * lamp.directionCovariance *
-                              sceneFromSource.linear().transpose();
+  const Matrix3d covariance =
+      sceneFromSource.linear() * lamp.directionCovariance * sceneFromSource.linear().transpose();
   LightDirection light;
   const std::optional<Vector3d> position =
       rig.lampRadiusMetres ? onSphere(origin, ray, *rig.lampRadiusMetres) : std::nullopt;
@@ -144,9 +143,9 @@ LightDirection lightAtSubject(const LampObservation& lamp, const RigGeometry& ri
     jacobian.col(axis) =
         (directionFor(ray + step, radius) - directionFor(ray - step, radius)) / (2 * kStep);
   }
-  const Vector3d perRadius = (directionFor(ray, radius * (1 + kStep)) -
-                              directionFor(ray, radius * (1 - kStep))) /
-                             (2 * kStep);  // for a relative change
+  const Vector3d perRadius =
+      (directionFor(ray, radius * (1 + kStep)) - directionFor(ray, radius * (1 - kStep))) /
+      (2 * kStep);  // for a relative change
   light.covariance = jacobian * covariance * jacobian.transpose() +
                      kRadiusUncertainty * kRadiusUncertainty * perRadius * perRadius.transpose();
   return light;

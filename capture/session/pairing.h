@@ -16,8 +16,8 @@ namespace lightsketch {
 // The lamp between two source frames, interpolated: nearest pairing alone costs half a degree for a
 // lamp at 28 degrees a second.
 struct PairedLamp {
-  LampObservation lamp;         // at the scene frame's time; confidence is the lower of both
-  double secondsToBefore = 0;   // from the source frame before to the scene frame
+  LampObservation lamp;        // at the scene frame's time; confidence is the lower of both
+  double secondsToBefore = 0;  // from the source frame before to the scene frame
   double secondsToAfter = 0;
   double radiansPerSecond = 0;  // the lamp's speed at the source camera
 };

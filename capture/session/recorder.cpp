@@ -21,15 +21,15 @@ using Eigen::Vector3d;
 
 constexpr std::size_t kFrameQueue = 16;  // more than a second at the usual rates
 constexpr std::size_t kWriteQueue = 8;
-constexpr double kSilenceSeconds = 5;    // a camera that sends nothing for so long is lost
-constexpr double kPatienceSeconds = 0.2; // for a late source frame, beyond the pairing limit
-constexpr double kSettleSeconds = 0.7;   // from the wish for darkness to darkness, with a guide
-constexpr double kDarkestSlack = 0.07;   // relative brightness at which frames count as equally dark
-constexpr double kDarkestNoise = 5e-4;   // the same of full scale, for a dark room
+constexpr double kSilenceSeconds = 5;     // a camera that sends nothing for so long is lost
+constexpr double kPatienceSeconds = 0.2;  // for a late source frame, beyond the pairing limit
+constexpr double kSettleSeconds = 0.7;    // from the wish for darkness to darkness, with a guide
+constexpr double kDarkestSlack = 0.07;  // relative brightness at which frames count as equally dark
+constexpr double kDarkestNoise = 5e-4;  // the same of full scale, for a dark room
 constexpr double kAmbientGivesUpSeconds = 15;
 
-// The ambient light: the mean of the darkest frames. Starts anew when it gets darker, so that frames
-// from before the lamp went off do not count.
+// The ambient light: the mean of the darkest frames. Starts anew when it gets darker, so that
+// frames from before the lamp went off do not count.
 class AmbientMean {
  public:
   void add(const RadianceImage& frame, double seconds) {
@@ -147,8 +147,8 @@ class Recording {
       height_ = sceneSettings.region->height;
     }
     for (const int id : sketch_.activeFrames()) {
-      secondsBefore_ = std::max(
-          secondsBefore_, sketch_.frames()[static_cast<std::size_t>(id)].midExposureSeconds);
+      secondsBefore_ = std::max(secondsBefore_,
+                                sketch_.frames()[static_cast<std::size_t>(id)].midExposureSeconds);
       ++summary_.resumedFrom;
     }
     ambientPhase_ = options.ambientSeconds > 0;
@@ -253,8 +253,8 @@ class Recording {
   const TimePoint start_ = Clock::now();
   std::atomic<bool> ambientPhase_ = false;
   std::atomic<bool> lost_ = false;
-  std::atomic<int> durable_ = 0;   // directions on disk
-  std::atomic<int> written_ = 0;   // frames on disk
+  std::atomic<int> durable_ = 0;  // directions on disk
+  std::atomic<int> written_ = 0;  // frames on disk
   std::atomic<Clock::rep> lastScene_{Clock::now().time_since_epoch().count()};
   std::atomic<Clock::rep> lastSource_{Clock::now().time_since_epoch().count()};
   BoundedQueue<Frame> sceneQueue_{kFrameQueue};
@@ -403,9 +403,11 @@ void Recording::guideOn(double seconds) {
     const double dt = toSeconds(latest->second.time - latest->first.time);
     plan_.update(coverage_, seconds, now, (now - before) / std::max(dt, 1e-3));
     state_.lampDirection = now;
+    state_.lamp = latest->second;
   } else {
     plan_.updateUnseen(coverage_, seconds);
     state_.lampDirection.reset();
+    state_.lamp.reset();
   }
   for (const int cell : plan_.takeFailed()) coverage_.postpone(cell);
   if (const auto target = plan_.target()) {
@@ -463,12 +465,14 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
       }
       lock.unlock();
       if (stop.stop_requested() || progress_.cancelled()) end("stopped", false);
-      if (options_.timeLimitSeconds && toSeconds(Clock::now() - start_) > *options_.timeLimitSeconds) {
+      if (options_.timeLimitSeconds &&
+          toSeconds(Clock::now() - start_) > *options_.timeLimitSeconds) {
         end("time limit reached", false);
       }
       const auto silence = [&](const char* which, const Camera& camera) {
-        cameraEnded(which, {ErrorCode::kDevice, fmt::format("{} sent no frame for {} s",
-                                                            camera.info().address, kSilenceSeconds)});
+        cameraEnded(which,
+                    {ErrorCode::kDevice, fmt::format("{} sent no frame for {} s",
+                                                     camera.info().address, kSilenceSeconds)});
       };
       if (silent(lastScene_)) silence("scene", sceneCamera_);
       if (silent(lastSource_)) silence("source", sourceCamera_);
@@ -495,14 +499,14 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
 
 RecorderSummary Recording::summarise() {
   summary_.ended = ended_;
+  summary_.timeZero = firstFrame_.value_or(start_) - fromSeconds(secondsBefore_);
   summary_.recorded = written_;
   summary_.captured = durable_;
   summary_.directions = coverage_.grid().size();
   summary_.coverage = coverage_.fraction();
   summary_.seconds = toSeconds(Clock::now() - start_);
   if (firstFrame_) summary_.timeZero = *firstFrame_ - fromSeconds(secondsBefore_);
-  summary_.droppedByQueues =
-      sceneQueue_.refused() + sourceQueue_.refused() + writeQueue_.refused();
+  summary_.droppedByQueues = sceneQueue_.refused() + sourceQueue_.refused() + writeQueue_.refused();
   return summary_;
 }
 
@@ -528,38 +532,47 @@ Result<Sketch> openToGoOn(const std::filesystem::path& folder, const RecorderOpt
                    folder.string(), m.width, m.height, width, height);
   }
   if (m.directions != options.directions || m.fullSphere != options.fullSphere) {
-    return failure(ErrorCode::kInvalidArgument,
-                   "{}: was begun with {} directions on the {}, now {} on the {} are asked for; use "
-                   "the same or another folder",
-                   folder.string(), m.directions, m.fullSphere ? "sphere" : "hemisphere",
-                   options.directions, options.fullSphere ? "sphere" : "hemisphere");
+    return failure(
+        ErrorCode::kInvalidArgument,
+        "{}: was begun with {} directions on the {}, now {} on the {} are asked for; use "
+        "the same or another folder",
+        folder.string(), m.directions, m.fullSphere ? "sphere" : "hemisphere", options.directions,
+        options.fullSphere ? "sphere" : "hemisphere");
   }
   return sketch;
 }
 
 Json describe(const char* role, const CameraInfo& info) {
-  return {{"role", role}, {"address", info.address}, {"model", info.model}, {"serial", info.serial}};
+  return {
+      {"role", role}, {"address", info.address}, {"model", info.model}, {"serial", info.serial}};
 }
 
 }  // namespace
 
 std::string describe(Refusal refusal) {
   switch (refusal) {
-    case Refusal::kNone: return "accepted";
-    case Refusal::kLampNotSeen: return "lamp not seen";
-    case Refusal::kLampTooFast: return "lamp too fast";
-    case Refusal::kSaturated: return "saturated";
-    case Refusal::kNotNew: return "direction not new";
-    case Refusal::kUnpaired: return "no source frames at its time";
-    case Refusal::kOutsideGrid: return "below the wanted directions";
+    case Refusal::kNone:
+      return "accepted";
+    case Refusal::kLampNotSeen:
+      return "lamp not seen";
+    case Refusal::kLampTooFast:
+      return "lamp too fast";
+    case Refusal::kSaturated:
+      return "saturated";
+    case Refusal::kNotNew:
+      return "direction not new";
+    case Refusal::kUnpaired:
+      return "no source frames at its time";
+    case Refusal::kOutsideGrid:
+      return "below the wanted directions";
   }
   return "unknown";
 }
 
 std::string RecorderSummary::describe() const {
-  std::string text = fmt::format(
-      "{} frames recorded in {:.0f} s ({}); {} of {} directions captured, {:.1f} %\n", recorded,
-      seconds, ended, captured, directions, 100 * coverage);
+  std::string text =
+      fmt::format("{} frames recorded in {:.0f} s ({}); {} of {} directions captured, {:.1f} %\n",
+                  recorded, seconds, ended, captured, directions, 100 * coverage);
   text += fmt::format("{} frames judged", offered);
   const char* separator = "; refused: ";
   for (const auto& [refusal, count] : refusals) {
@@ -567,14 +580,15 @@ std::string RecorderSummary::describe() const {
     separator = ", ";
   }
   const auto link = [](const char* name, const StreamStatistics& s) {
-    return fmt::format("\n{} camera: {} frames, {} incomplete, {} lost; {} packets, {} missing, {} "
-                       "resent",
-                       name, s.delivered, s.incomplete, s.lost, s.packetsReceived, s.packetsMissing,
-                       s.packetsResent);
+    return fmt::format(
+        "\n{} camera: {} frames, {} incomplete, {} lost; {} packets, {} missing, {} "
+        "resent",
+        name, s.delivered, s.incomplete, s.lost, s.packetsReceived, s.packetsMissing,
+        s.packetsResent);
   };
   text += link("scene", scene) + link("source", source);
-  text += fmt::format("\n{} frames dropped because the program could not keep up\n",
-                      droppedByQueues);
+  text +=
+      fmt::format("\n{} frames dropped because the program could not keep up\n", droppedByQueues);
   return text;
 }
 
@@ -620,8 +634,8 @@ Result<RecorderSummary> record(Camera& sceneCamera, Camera& sourceCamera,
   manifest.fullSphere = options.fullSphere;
   manifest.ambientSubtracted = options.subtractAmbient && options.ambientSeconds > 0;
   manifest.software = "lightsketch 0.1.0";
-  manifest.cameras = Json::array(
-      {describe("scene", sceneCamera.info()), describe("source", sourceCamera.info())});
+  manifest.cameras =
+      Json::array({describe("scene", sceneCamera.info()), describe("source", sourceCamera.info())});
   manifest.provenance = {{"method", "recorded"},
                          {"referenceExposureSeconds", *scene.exposureSeconds},
                          {"referenceGainDb", scene.gainDb.value_or(0)},

@@ -26,12 +26,12 @@ namespace lightsketch {
 // Why a scene frame was not kept.
 enum class Refusal {
   kNone,
-  kLampNotSeen,     // lost, covered or ambiguous at the frame's time
-  kLampTooFast,     // it moved more than allowed during the exposure
-  kSaturated,       // too many saturated pixels in the scene frame
-  kNotNew,          // the direction's cell is captured already
-  kUnpaired,        // no source frames close enough in time on both sides
-  kOutsideGrid,     // below the hemisphere that is wanted
+  kLampNotSeen,  // lost, covered or ambiguous at the frame's time
+  kLampTooFast,  // it moved more than allowed during the exposure
+  kSaturated,    // too many saturated pixels in the scene frame
+  kNotNew,       // the direction's cell is captured already
+  kUnpaired,     // no source frames close enough in time on both sides
+  kOutsideGrid,  // below the hemisphere that is wanted
 };
 std::string describe(Refusal refusal);  // "lamp too fast"
 
@@ -42,31 +42,32 @@ struct RecorderOptions {
   std::optional<double> timeLimitSeconds;
   Angle maxLampMotion = Angle::degrees(1.0);  // during one scene exposure
   double maxSaturatedFraction = 0.02;
-  double maxPairingSeconds = 0.15;            // source frames further away than this do not pair
-  // At the start, with the lamp off: the ambient light is averaged over this time, counted from when
-  // the scene is at its darkest, and the tracker learns the lights of the room. 0: no such phase.
+  double maxPairingSeconds = 0.15;  // source frames further away than this do not pair
+  // At the start, with the lamp off: the ambient light is averaged over this time, counted from
+  // when the scene is at its darkest, and the tracker learns the lights of the room. 0: no such
+  // phase.
   double ambientSeconds = 1.5;
-  bool subtractAmbient = true;                // else kept beside the frames
+  bool subtractAmbient = true;  // else kept beside the frames
   double sceneExposureSeconds = 0.02;
   double sourceExposureSeconds = 0.001;
   double sceneGainDb = 0;
   double sourceGainDb = 0;
-  double sceneBlackLevel = 0;                 // counts of the format
+  double sceneBlackLevel = 0;  // counts of the format
   double sourceBlackLevel = 0;
   double framesPerSecond = 12;
   PixelFormat sceneFormat = PixelFormat::kBayerRG12;
 };
 
 struct RecorderSummary {
-  std::string ended;      // why, for the user: "coverage goal reached", or how a camera was lost
-  int recorded = 0;       // frames on disk, of this recording
-  int resumedFrom = 0;    // frames that the sketch held before
-  int offered = 0;        // scene frames that were judged
-  int captured = 0;       // directions, with those of before
-  int directions = 0;     // wanted
-  double coverage = 0;    // captured / directions
+  std::string ended;    // why, for the user: "coverage goal reached", or how a camera was lost
+  int recorded = 0;     // frames on disk, of this recording
+  int resumedFrom = 0;  // frames that the sketch held before
+  int offered = 0;      // scene frames that were judged
+  int captured = 0;     // directions, with those of before
+  int directions = 0;   // wanted
+  double coverage = 0;  // captured / directions
   double seconds = 0;
-  TimePoint timeZero;     // what this recording's midExposureSeconds count from
+  TimePoint timeZero;  // what this recording's midExposureSeconds count from
   std::map<Refusal, int> refusals;
   std::uint64_t droppedByQueues = 0;  // frames the program could not keep up with
   StreamStatistics scene;
@@ -79,6 +80,7 @@ struct RecorderState {
   bool lampWantedOff = false;  // the ambient frame is being taken
   std::optional<Eigen::Vector3d> nextDirection;
   std::optional<Eigen::Vector3d> lampDirection;  // where it is now, scene frame
+  std::optional<LampObservation> lamp;           // the same as the source camera saw it
   Refusal lastRefusal = Refusal::kNone;
   int recorded = 0;
   double coverage = 0;
@@ -86,17 +88,18 @@ struct RecorderState {
 
 // Blocks until the coverage goal, the time limit, the end of a camera, `stop` or a cancelled
 // `progress`; all of these leave every accepted frame on disk and return the summary. The sketch is
-// created, or gone on with if it exists and fits (size, grid; whether ambient light is subtracted and
-// the reference exposure are taken over from it). Radiance 1.0 is saturation at the scene exposure
-// and gain of the start.
+// created, or gone on with if it exists and fits (size, grid; whether ambient light is subtracted
+// and the reference exposure are taken over from it). Radiance 1.0 is saturation at the scene
+// exposure and gain of the start.
 //
 // Cameras with the features GuideMode, GuideX/Y/Z (the simulated rig) are told where to go; for
-// others the lamp is expected to be off for the first `ambientSeconds` (RecorderState::lampWantedOff
-// says so) and then to follow RecorderState::nextDirection. With a lampRadiusMetres the lamp is taken
-// to be on that sphere about the subject; without, it is taken to be far away.
+// others the lamp is expected to be off for the first `ambientSeconds`
+// (RecorderState::lampWantedOff says so) and then to follow RecorderState::nextDirection. With a
+// lampRadiusMetres the lamp is taken to be on that sphere about the subject; without, it is taken
+// to be far away.
 //
-// Fails if the cameras, the model and the sketch do not fit, if a write fails (whole frames stay), or
-// if a camera is lost before any frame was recorded.
+// Fails if the cameras, the model and the sketch do not fit, if a write fails (whole frames stay),
+// or if a camera is lost before any frame was recorded.
 Result<RecorderSummary> record(Camera& sceneCamera, Camera& sourceCamera,
                                std::shared_ptr<const CameraModel> sourceModel,
                                const RigGeometry& rig, const std::filesystem::path& sketchFolder,

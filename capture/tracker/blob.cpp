@@ -1,6 +1,8 @@
 #include "capture/tracker/blob.h"
 
+#include <Eigen/LU>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdlib>
 #include <numeric>
@@ -86,6 +88,34 @@ int surroundings(const Image<std::uint16_t>& counts, const Image<std::uint16_t>&
   return std::clamp(*middle, 0, kFullScale / 2);
 }
 
+// Mean excess from 2.5 to 6 pixels outside the ellipse that the core fills.
+double haloLevel(const Blob& blob, int base, const Image<std::uint16_t>& counts,
+                 const Background& background) {
+  const Eigen::Matrix2d information = (4 * blob.moments).inverse();  // of a uniform disc: R^2 / 4
+  std::array<double, 8> sum{};
+  std::array<int, 8> count{};
+  const Region& w = blob.window;
+  for (int y = w.y; y < w.y + w.height; ++y) {
+    for (int x = w.x; x < w.x + w.width; ++x) {
+      if (background.isStaticLight(x, y)) continue;
+      const Eigen::Vector2d d(x + 0.5 - blob.pixel.x(), y + 0.5 - blob.pixel.y());
+      const double outside = d.norm() * (1 - 1 / std::sqrt(d.dot(information * d) + 1e-9));
+      if (outside < 2.5 || outside > 6) continue;
+      const double turn = (std::atan2(d.y(), d.x()) + M_PI) / (2 * M_PI);
+      const auto side = static_cast<std::size_t>(8 * turn) % 8;
+      sum[side] += excess(counts(x, y), background.level()(x, y) + base);
+      count[side] += 1;
+    }
+  }
+  std::vector<double> levels;
+  for (std::size_t i = 0; i < 8; ++i) {
+    if (count[i] > 0) levels.push_back(sum[i] / count[i] / kFullScale);
+  }
+  if (levels.empty()) return 0;
+  std::sort(levels.begin(), levels.end());
+  return (levels[levels.size() / 2] + levels[(levels.size() - 1) / 2]) / 2;
+}
+
 void measure(Blob& blob, const Image<std::uint16_t>& counts, const Background& background) {
   const Image<std::uint16_t>& level = background.level();
   const Region& box = blob.box;
@@ -122,7 +152,6 @@ void measure(Blob& blob, const Image<std::uint16_t>& counts, const Background& b
         continue;
       }
       const int above = excess(counts(x, y), level(x, y) + base);
-      if (above < kFullScale / 4) blob.halo += above;  // signed, so that noise cancels
       if (above <= 0) continue;
       blob.flux += above;
       const double w = std::clamp(above, floor, ceiling) - floor;
@@ -143,7 +172,6 @@ void measure(Blob& blob, const Image<std::uint16_t>& counts, const Background& b
     }
   }
   blob.flux /= kFullScale;
-  blob.halo /= kFullScale;
   blob.staticFraction = staticPixels / blob.area;
   if (sum <= 0) return;
   const Eigen::Vector2d shift(sx / sum, sy / sum);
@@ -153,6 +181,7 @@ void measure(Blob& blob, const Image<std::uint16_t>& counts, const Background& b
   const double noise = background.noise() / sum;
   blob.centroidCovariance << vxx, vxy, vxy, vyy;
   blob.centroidCovariance *= noise * noise;
+  blob.halo = haloLevel(blob, base, counts, background);
 }
 
 }  // namespace

@@ -1,5 +1,6 @@
 #include "capture/tracker/lamp_tracker.h"
 
+#include <Eigen/Cholesky>
 #include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <Eigen/LU>
@@ -19,7 +20,6 @@ using Eigen::Matrix2d;
 using Eigen::Matrix3d;
 using Eigen::Vector2d;
 using Eigen::Vector3d;
-using Eigen::Vector4d;
 
 constexpr int kLearnFromTracking = 8;  // frames that track() learns from if nobody else taught it
 constexpr int kFewestLearned = 3;
@@ -46,17 +46,14 @@ constexpr double kHandTremorPixels = 0.4;  // a held lamp never stands stiller t
 constexpr double kRoundness = 0.7;         // minor over major axis
 constexpr int kMirrorCell = 16;            // pixels
 
-// Bayesian linear regression of log brightness on (1, direction): the lamp is held at some distance
-// from the subject, not from the camera, and the lens shrinks it towards the rim, so its brightness
-// is a smooth function of direction. Says how well it knows.
+// Bayesian linear regression of log brightness on the spherical harmonics of the direction up to
+// second order: the lamp is held at some distance from the subject, not from the camera, and the
+// lens shrinks and dims it towards the rim, so its brightness is a smooth function of direction.
+// Says how well it knows.
 class BrightnessModel {
  public:
-  BrightnessModel() {
-    precision_ = Vector4d(1e-6, 4, 4, 4).asDiagonal();  // slopes of about 0.5 at most
-    information_.setZero();
-  }
   void add(const Vector3d& direction, double logBrightness) {
-    const Vector4d f(1, direction.x(), direction.y(), direction.z());
+    const Features f = features(direction);
     if (count_ > 0) {
       const double residual = logBrightness - predict(direction);
       variance_ += (std::min(residual * residual, 0.25) - variance_) / std::min(count_ + 10, 200);
@@ -64,25 +61,38 @@ class BrightnessModel {
     // Successive frames say nearly the same: each counts for a fifth. Old ones fade in a minute.
     constexpr double kWeight = 0.2;
     constexpr double kFade = 0.999;
-    const Matrix4 prior = Vector4d(1e-6, 4, 4, 4).asDiagonal();
-    precision_ = prior + kFade * (precision_ - prior) + kWeight / kNominal * f * f.transpose();
-    information_ = kFade * information_ + kWeight / kNominal * logBrightness * f;
-    weights_ = precision_.ldlt().solve(information_);
+    precision_ =
+        prior() + kFade * (precision_ - prior()) + kWeight / kNominalVariance * f * f.transpose();
+    information_ = kFade * information_ + kWeight / kNominalVariance * logBrightness * f;
+    factor_.compute(precision_);
+    weights_ = factor_.solve(information_);
     ++count_;
   }
   int count() const { return count_; }
-  double predict(const Vector3d& d) const { return weights_.dot(Vector4d(1, d.x(), d.y(), d.z())); }
+  double predict(const Vector3d& d) const { return weights_.dot(features(d)); }
   double sigma(const Vector3d& d) const {
-    const Vector4d f(1, d.x(), d.y(), d.z());
-    return std::sqrt(f.dot(precision_.ldlt().solve(f)) + variance_);
+    const Features f = features(d);
+    return std::sqrt(f.dot(factor_.solve(f)) + variance_);
   }
 
  private:
-  using Matrix4 = Eigen::Matrix4d;
-  static constexpr double kNominal = 0.01;  // variance of one observation
-  Matrix4 precision_;
-  Vector4d information_;
-  Vector4d weights_ = Vector4d::Zero();
+  static constexpr int kTerms = 9;
+  static constexpr double kNominalVariance = 0.01;  // of one observation
+  using Features = Eigen::Matrix<double, kTerms, 1>;
+  using Precision = Eigen::Matrix<double, kTerms, kTerms>;
+  static Features features(const Vector3d& d) {
+    return (Features() << 1, d.x(), d.y(), d.z(), d.x() * d.y(), d.y() * d.z(), d.z() * d.x(),
+            d.x() * d.x() - d.y() * d.y(), d.z() * d.z() - 1.0 / 3)
+        .finished();
+  }
+  // Nothing is known of the brightness itself; it may change by about half across the field.
+  static Precision prior() {
+    return (Features() << 1e-6, 4, 4, 4, 8, 8, 8, 8, 8).finished().asDiagonal();
+  }
+  Precision precision_ = prior();
+  Features information_ = Features::Zero();
+  Features weights_ = Features::Zero();
+  Eigen::LDLT<Precision> factor_{precision_};
   double variance_ = 0.01;
   int count_ = 0;
 };
@@ -109,8 +119,9 @@ struct Track {
   int proven = 0;        // of these, in a row and since it last failed a test
   double travelled = 0;  // largest distance from birth, radians
   double travelledPixels = 0;
-  double logFlux = 0;  // smoothed over accepted frames
-  int besideLamp = 0;  // frames in which the lamp was elsewhere at the same time
+  double logFlux = 0;   // of the last frame
+  double residual = 0;  // brightness against the model, smoothed over accepted frames
+  int besideLamp = 0;   // frames in which the lamp was elsewhere at the same time
   bool reflection = false;
   int candidate = -1;  // in this frame
 };
@@ -160,6 +171,9 @@ struct LampTracker::State {
     return {static_cast<int>(pixel.x()) / kMirrorCell, static_cast<int>(pixel.y()) / kMirrorCell};
   }
   bool nearMirror(const Vector2d& pixel) const;
+  double residualOf(const Candidate& candidate) const {
+    return candidate.logFlux - (flux.count() > 0 ? flux.predict(candidate.direction) : 0.0);
+  }
 };
 
 Result<Image<std::uint16_t>> LampTracker::State::read(const Frame& frame) const {
@@ -209,15 +223,12 @@ std::vector<Candidate> LampTracker::State::candidatesIn(const Image<std::uint16_
     Candidate candidate;
     candidate.direction = *direction;
     candidate.logFlux = std::log(std::max(blob.flux, 1e-3));
-    candidate.logHalo = std::log(std::max(blob.halo, 0.1));
-    // A lamp is round in space or, blurred by its halo, round in the picture.
+    candidate.logHalo = std::log(std::max(blob.halo, 1e-3));
+    // A lamp is a disc as the lens stretches discs there or, where the halo dominates, round.
     const auto perPixel = directionPerPixel(blob.pixel);
-    const Vector3d u = direction->unitOrthogonal();
-    Eigen::Matrix<double, 2, 3> tangent;
-    tangent << u.transpose(), direction->cross(u).transpose();
-    const Matrix2d toSpace = tangent * perPixel;
-    candidate.roundness = std::max(roundnessOf(blob.moments),
-                                   roundnessOf(toSpace * blob.moments * toSpace.transpose()));
+    const Matrix2d stretch = perPixel.transpose() * perPixel;
+    candidate.roundness =
+        std::min(1.0, roundnessOf(blob.moments) / std::max(0.1, roundnessOf(stretch)));
     candidate.blob = std::move(blob);
     candidates.push_back(std::move(candidate));
   }
@@ -281,6 +292,7 @@ void LampTracker::State::associate(const std::vector<Candidate>& candidates, Tim
     const Vector3d velocity = (seen.direction - track.direction) / dt;
     track.velocity = track.hits < 2 ? velocity : Vector3d(0.3 * track.velocity + 0.7 * velocity);
     track.direction = seen.direction;
+    track.logFlux = seen.logFlux;
     track.time = time;
     track.hits += 1;
     track.proven += 1;
@@ -312,7 +324,7 @@ std::string LampTracker::State::objection(const Track& track, const Candidate& c
   if (blob.cut) return "cut by the border of the picture";
   // The rim of the lens' valid field cuts the spot as well.
   const Vector2d outward = blob.pixel - Vector2d(model->width() / 2.0, model->height() / 2.0);
-  const double reach = 2 * std::sqrt(blob.moments.trace());
+  const double reach = 1.5 * std::sqrt(blob.moments.trace());  // a disc's radius is 1.41 of it
   if (!model->unproject(blob.pixel + reach * outward.normalized())) {
     return "at the rim of the field of view";
   }
@@ -321,8 +333,9 @@ std::string LampTracker::State::objection(const Track& track, const Candidate& c
     return "partly covered";
   }
   if (track.id == lamp) {
-    if (candidate.logFlux < track.logFlux - kStepTolerance) return "partly covered";
-    if (candidate.logFlux > track.logFlux + kStepTolerance) return "suddenly brighter";
+    const double step = residualOf(candidate) - track.residual;
+    if (step < -kStepTolerance) return "partly covered";
+    if (step > kStepTolerance) return "suddenly brighter";
   }
   if (flux.count() > 0) {
     const double base = track.id == lamp ? kTrackedTolerance : kModelTolerance;
@@ -391,7 +404,7 @@ LampObservation LampTracker::State::observe(const Track& track, const Candidate&
   // Noise; a twentieth of the spot's size, for what a saturated core hides; as much of the size as
   // the brightness deviates, for a lamp covered a little; and the motion while the shutter was
   // open.
-  const double deviation = std::abs(candidate.logFlux - track.logFlux);
+  const double deviation = std::abs(residualOf(candidate) - track.residual);
   const double hidden = seen.spreadPixels * (0.05 + 0.5 * deviation);
   seen.covariance = candidate.blob.centroidCovariance +
                     (hidden * hidden + smearPixels * smearPixels / 12) * Matrix2d::Identity();
@@ -406,8 +419,7 @@ LampObservation LampTracker::State::observe(const Track& track, const Candidate&
     if (&other != &candidate) rival = std::max(rival, other.strength() - candidate.strength());
   }
   const double sigma = flux.count() > 0 ? flux.sigma(candidate.direction) : 0.3;
-  const double away =
-      flux.count() > 0 ? (candidate.logFlux - flux.predict(candidate.direction)) / (2 * sigma) : 0;
+  const double away = flux.count() > 0 ? residualOf(candidate) / (2 * sigma) : 0;
   seen.confidence = std::exp(-0.5 * away * away) * std::exp(-8 * deviation * deviation) *
                     std::min(1.0, track.proven / 6.0) *
                     std::clamp(1.3 - std::exp(rival), 0.1, 1.0) *
@@ -428,7 +440,7 @@ TrackResult LampTracker::State::judge(const std::vector<Candidate>& candidates,
     track = acquire(candidates, reason);
     if (track == nullptr) return none(TrackState::kAmbiguous, std::move(reason));
     lamp = track->id;
-    track->logFlux = candidates[static_cast<std::size_t>(track->candidate)].logFlux;
+    track->residual = residualOf(candidates[static_cast<std::size_t>(track->candidate)]);
   }
   const Candidate& candidate = candidates[static_cast<std::size_t>(track->candidate)];
 
@@ -474,7 +486,7 @@ TrackResult LampTracker::State::judge(const std::vector<Candidate>& candidates,
   }
 
   const LampObservation seen = observe(*track, candidate, candidates, metadata, smear);
-  track->logFlux += 0.3 * (candidate.logFlux - track->logFlux);
+  track->residual += 0.3 * (residualOf(candidate) - track->residual);
   flux.add(candidate.direction, candidate.logFlux);
   halo.add(candidate.direction, candidate.logHalo);
   trail.push_back(seen);
