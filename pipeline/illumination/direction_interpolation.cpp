@@ -1,8 +1,7 @@
 #include "pipeline/illumination/direction_interpolation.h"
 
-#include <lapack.h>
-
 #include <Eigen/Eigenvalues>
+#include <Eigen/LU>
 
 #include <algorithm>
 #include <cmath>
@@ -91,15 +90,9 @@ class System {
     }
     A.topRightCorner(n, P.cols()) = P;
     A.bottomLeftCorner(P.cols(), n) = P.transpose();
-    auto order = static_cast<lapack_int>(size);
-    lapack_int info = 0;
-    std::vector<lapack_int> pivots(static_cast<std::size_t>(size));
-    LAPACK_dgetrf(&order, &order, A.data(), &order, pivots.data(), &info);
-    if (info != 0) return std::nullopt;
-    lapack_int workSize = order * 64;
-    std::vector<double> work(static_cast<std::size_t>(workSize));
-    LAPACK_dgetri(&order, A.data(), &order, pivots.data(), work.data(), &workSize, &info);
-    if (info != 0 || !A.allFinite()) return std::nullopt;
+    // Eigen, not BLAS: systems are small and many, and threads would cost more than they give.
+    A = Eigen::PartialPivLU<MatrixXd>(A).inverse();
+    if (!A.allFinite()) return std::nullopt;
     system.lights_ = std::move(lights);
     return system;
   }
