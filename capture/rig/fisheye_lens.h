@@ -1,5 +1,6 @@
 // The lens that the simulated source camera really has. It belongs to no model family on purpose:
-// what the pipeline gets instead is the closest Kannala-Brandt model, as from a careful calibration.
+// what the pipeline gets instead is the closest Kannala-Brandt model, as from a careful
+// calibration.
 #pragma once
 
 #include <Eigen/Core>

@@ -99,14 +99,15 @@ Mesh makeBox(const Vector3f& size, float bevel) {
           p[axis] = side * half[axis];
           p[u] = a;
           p[v] = b;
-          const Vector3f core = p.cwiseMax(-half + Vector3f::Constant(r))
-                                    .cwiseMin(half - Vector3f::Constant(r));
+          const Vector3f core =
+              p.cwiseMax(-half + Vector3f::Constant(r)).cwiseMin(half - Vector3f::Constant(r));
           const Vector3f normal = (p - core).normalized();
           mesh.positions.push_back(core + r * normal);
           mesh.normals.push_back(normal);
         }
       }
-      addGridTriangles(mesh, first, static_cast<int>(us.size()) - 1, static_cast<int>(vs.size()) - 1);
+      addGridTriangles(mesh, first, static_cast<int>(us.size()) - 1,
+                       static_cast<int>(vs.size()) - 1);
     }
   }
   return mesh;
@@ -168,8 +169,8 @@ Mesh makeHeightField(const Vector3f& size, int columns, int rows,
       const bool ground = row < 0 || row > rows || column < 0 || column > columns;
       mesh.positions.push_back({x, y, ground ? 0.0f : z(x, y)});
       const float e = 0.5f * std::min(dx, dy);
-      mesh.normals.push_back(Vector3f(z(x - e, y) - z(x + e, y), z(x, y - e) - z(x, y + e), 2 * e)
-                                 .normalized());
+      mesh.normals.push_back(
+          Vector3f(z(x - e, y) - z(x + e, y), z(x, y - e) - z(x, y + e), 2 * e).normalized());
     }
   }
   addGridTriangles(mesh, 0, columns + 2, rows + 2);

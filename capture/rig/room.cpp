@@ -20,15 +20,16 @@ const Vector3f kCeilingPaint(0.78f, 0.77f, 0.74f);
 const Vector3f kFloorWood(0.22f, 0.15f, 0.10f);
 
 // The window is in the wall y = kHigh.y(), the picture in the wall x = kLow.x().
-constexpr float kWindowLeft = -0.95f, kWindowRight = 0.55f, kWindowBottom = 0.05f, kWindowTop = 1.25f;
+constexpr float kWindowLeft = -0.95f, kWindowRight = 0.55f, kWindowBottom = 0.05f,
+                kWindowTop = 1.25f;
 constexpr float kPictureFront = -0.75f, kPictureBack = 0.25f, kPictureBottom = 0.25f,
                 kPictureTop = 1.0f;
 
 struct Ellipsoid {
   Vector3f centre, radii;
 };
-const Ellipsoid kBystander[] = {{{-0.05f, -1.30f, 0.42f}, {0.10f, 0.11f, 0.14f}},   // head
-                             {{-0.05f, -1.35f, -0.12f}, {0.24f, 0.14f, 0.42f}}};  // trunk
+const Ellipsoid kBystander[] = {{{-0.05f, -1.30f, 0.42f}, {0.10f, 0.11f, 0.14f}},    // head
+                                {{-0.05f, -1.35f, -0.12f}, {0.24f, 0.14f, 0.42f}}};  // trunk
 
 bool inside(float value, float low, float high) { return value > low && value < high; }
 
@@ -69,8 +70,8 @@ void shadePicture(float y, float z, RoomHit& hit) {
   }
 }
 
-// Light that the surfaces get from window, panels and each other, smooth by construction: enough for
-// walls that are only background.
+// Light that the surfaces get from window, panels and each other, smooth by construction: enough
+// for walls that are only background.
 float roomIrradiance(const Vector3f& p) {
   const float fromPanels = 0.020f * (1 + 0.35f * (p.z() - kLow.z()) / (kHigh.z() - kLow.z()));
   const Vector3f window(-0.2f, kHigh.y(), 0.65f);
@@ -144,8 +145,10 @@ RoomHit Room::trace(const Vector3f& origin, const Vector3f& direction) const {
   } else {
     hit.albedo = kWallPaint * (0.96f + 0.08f * fractalNoise(9 * p, 3));
     // Skirting board, and a darker field of wallpaper below the rail.
-    if (p.z() < kLow.z() + 0.12f) hit.albedo = Vector3f(0.5f, 0.48f, 0.44f);
-    else if (p.z() < -0.05f) hit.albedo *= 0.6f;
+    if (p.z() < kLow.z() + 0.12f)
+      hit.albedo = Vector3f(0.5f, 0.48f, 0.44f);
+    else if (p.z() < -0.05f)
+      hit.albedo *= 0.6f;
     if (axis == 1 && direction.y() > 0 && inside(p.x(), kWindowLeft, kWindowRight) &&
         inside(p.z(), kWindowBottom, kWindowTop)) {
       shadeWindow(p.x(), p.z(), hit);

@@ -19,9 +19,9 @@ struct RoomHit {
 
 // A pane that mirrors the lamp: window and picture glass.
 struct Pane {
-  int axis;              // coordinate that is constant on it
+  int axis;  // coordinate that is constant on it
   float value;
-  Eigen::Vector3f low;   // bounds in the other two coordinates
+  Eigen::Vector3f low;  // bounds in the other two coordinates
   Eigen::Vector3f high;
 };
 

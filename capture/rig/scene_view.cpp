@@ -35,17 +35,17 @@ constexpr float kRoomBounce = 0.03f;
 
 // Sixteen points of light transport: first hits, and what glossy first hits mirror.
 struct alignas(64) Block {
-  float px[kLanes], py[kLanes], pz[kLanes];           // position, off the surface
-  float nx[kLanes], ny[kLanes], nz[kLanes];           // shading normal
-  float vx[kLanes], vy[kLanes], vz[kLanes];           // to the viewer
+  float px[kLanes], py[kLanes], pz[kLanes];  // position, off the surface
+  float nx[kLanes], ny[kLanes], nz[kLanes];  // shading normal
+  float vx[kLanes], vy[kLanes], vz[kLanes];  // to the viewer
   float albedo[3][kLanes], specular[3][kLanes];
-  float alpha[kLanes];                                // GGX width
+  float alpha[kLanes];  // GGX width
   float translucency[kLanes], thickness[kLanes];
-  float openness[kLanes];                             // share of the hemisphere that sees the room
-  float bounce[3][kLanes];                            // colour of the objects around,
-  float bx[kLanes], by[kLanes], bz[kLanes];           // and their mean normal: bounced light
-  float weight[3][kLanes];                            // of this point in its pixel
-  std::int32_t pixel[kLanes];                         // -1: unused lane
+  float openness[kLanes];                    // share of the hemisphere that sees the room
+  float bounce[3][kLanes];                   // colour of the objects around,
+  float bx[kLanes], by[kLanes], bz[kLanes];  // and their mean normal: bounced light
+  float weight[3][kLanes];                   // of this point in its pixel
+  std::int32_t pixel[kLanes];                // -1: unused lane
 };
 
 // What shading needs of the lamp.
@@ -75,34 +75,33 @@ void shade(const Block& __restrict b, const Lamp& lamp, const float* __restrict 
     const float hInverse = 1 / std::sqrt(std::max(hx * hx + hy * hy + hz * hz, 1e-8f));
     const float nh = std::max((b.nx[i] * hx + b.ny[i] * hy + b.nz[i] * hz) * hInverse, 0.0f);
     const float vh = std::max((b.vx[i] * hx + b.vy[i] * hy + b.vz[i] * hz) * hInverse, 0.0f);
-    const float widened =
-        b.alpha[i] + 0.5f * static_cast<float>(kLampRadiusMetres) * inverse;
+    const float widened = b.alpha[i] + 0.5f * static_cast<float>(kLampRadiusMetres) * inverse;
     const float a2 = widened * widened;
     const float t = nh * nh * (a2 - 1) + 1;
     const float lobe = a2 / std::max(t * t, 1e-12f);  // times pi: irradiance is in radiance units
-    const float masking =
-        0.5f / std::max(nl * std::sqrt(nv * nv * (1 - a2) + a2) + nv * std::sqrt(nl * nl * (1 - a2) + a2),
-                        1e-5f);
+    const float masking = 0.5f / std::max(nl * std::sqrt(nv * nv * (1 - a2) + a2) +
+                                              nv * std::sqrt(nl * nl * (1 - a2) + a2),
+                                          1e-5f);
     const float m = 1 - vh, m2 = m * m;
     const float schlick = m2 * m2 * m;
     const float glossy = lobe * masking * nl * visible[i];
 
     const float wrapped = std::max((cosLight + 0.6f) / 1.6f, 0.0f);
-    const float against = std::max(
-        -(b.vx[i] * (lx + 0.3f * b.nx[i]) + b.vy[i] * (ly + 0.3f * b.ny[i]) + b.vz[i] * (lz + 0.3f * b.nz[i])),
-        0.0f);
+    const float against =
+        std::max(-(b.vx[i] * (lx + 0.3f * b.nx[i]) + b.vy[i] * (ly + 0.3f * b.ny[i]) +
+                   b.vz[i] * (lz + 0.3f * b.nz[i])),
+                 0.0f);
     const float seeping = wrapped * wrapped + 1.2f * against * against * against;
-    const float diffuse =
-        visible[i] * (nl + b.translucency[i] * (seeping - nl));
+    const float diffuse = visible[i] * (nl + b.translucency[i] * (seeping - nl));
 
     const float fromObjects = 0.8f * std::max(b.bx[i] * lx + b.by[i] * ly + b.bz[i] * lz, 0.0f);
     const float fromRoom = kRoomBounce * b.openness[i] * (0.75f + 0.25f * b.nz[i]);
     for (int c = 0; c < 3; ++c) {
       const float fresnel = b.specular[c][i] + (1 - b.specular[c][i]) * schlick;
       const float indirect = fromRoom + fromObjects * b.bounce[c][i];
-      radiance[c][i] = b.weight[c][i] *
-                       (irradiance * (b.albedo[c][i] * diffuse + fresnel * glossy) +
-                        b.albedo[c][i] * irradiance * indirect);
+      radiance[c][i] =
+          b.weight[c][i] * (irradiance * (b.albedo[c][i] * diffuse + fresnel * glossy) +
+                            b.albedo[c][i] * irradiance * indirect);
     }
   }
 }
@@ -148,7 +147,6 @@ class ShadowCaster {
  public:
   ShadowCaster(RTCScene scene, const LampPoints& points) : scene_(scene), points_(points) {
     rtcInitIntersectContext(&context_);
-    context_.flags = RTC_INTERSECT_CONTEXT_FLAG_COHERENT;
     for (int i = 0; i < kLanes; ++i) {
       rays_.time[i] = 0;
       rays_.mask[i] = ~0u;
@@ -207,8 +205,9 @@ class ShadowCaster {
     castRound(b, 0, visible);
     int lit = 0, facing = 0;
     for (int i = 0; i < kLanes; ++i) {
-      const bool faces = b.translucency[i] > 0 || b.nx[i] * rays_.dir_x[i] + b.ny[i] * rays_.dir_y[i] +
-                                                          b.nz[i] * rays_.dir_z[i] > 0;
+      const bool faces =
+          b.translucency[i] > 0 ||
+          b.nx[i] * rays_.dir_x[i] + b.ny[i] * rays_.dir_y[i] + b.nz[i] * rays_.dir_z[i] > 0;
       facing += faces;
       lit += faces && visible[i] > 0;
     }
@@ -249,8 +248,8 @@ class ShadowCaster {
 
 // Light that is always there, and how open a point is to its surroundings.
 struct Surroundings {
-  Vector3f ambient = Vector3f::Zero();  // irradiance / pi
-  Vector3f mirrored = Vector3f::Zero(); // radiance of the room in the polish
+  Vector3f ambient = Vector3f::Zero();   // irradiance / pi
+  Vector3f mirrored = Vector3f::Zero();  // radiance of the room in the polish
   float openness = 0;
   Vector3f bounceColour = Vector3f::Zero();
   Vector3f bounceNormal = Vector3f::Zero();
@@ -314,7 +313,8 @@ Surroundings surroundingsOf(const StillLife& stillLife, const Room& room, const 
     const float d2 = d.squaredNorm();
     const float cosHere = d.dot(point.normal) / std::sqrt(d2);
     if (cosHere <= 0 || stillLife.occluded(origin, spot.position)) continue;
-    s.ambient += spot.radiance * cosHere * spot.radius * spot.radius / d2 * Vector3f(1, 0.9f, 0.75f);
+    s.ambient +=
+        spot.radiance * cosHere * spot.radius * spot.radius / d2 * Vector3f(1, 0.9f, 0.75f);
   }
   return s;
 }
@@ -391,8 +391,8 @@ struct SceneView::State {
   std::vector<float> signal;
 };
 
-// Points of one pixel: one for every smooth surface that four rays find in it. A glossy surface adds
-// what it mirrors as a point of its own; the room's mirror image goes to the ambient light.
+// Points of one pixel: one for every smooth surface that four rays find in it. A glossy surface
+// adds what it mirrors as a point of its own; the room's mirror image goes to the ambient light.
 void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
                                 std::vector<Point>& mirrored) {
   const auto& pose = stillLife->sceneFromCamera();
@@ -413,8 +413,10 @@ void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
     }
     auto group = std::find_if(groups.begin(), groups.end(),
                               [&](const SurfaceGroup& g) { return g.accepts(*hit); });
-    if (group == groups.end()) groups.emplace_back(*hit);
-    else group->add(*hit);
+    if (group == groups.end())
+      groups.emplace_back(*hit);
+    else
+      group->add(*hit);
   }
 
   for (std::size_t i = 0; i < groups.size(); ++i) {
@@ -429,10 +431,9 @@ void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
     Vector3f& light = p.surroundings.mirrored;
 
     // What it mirrors; a rough surface mirrors a cone.
-    const Vector3f fresnel =
-        p.surface.specular + schlickFactor(p.surface, p.toViewer) *
-                                 (1 - p.surface.roughness) *
-                                 (Vector3f::Ones() - p.surface.specular);
+    const Vector3f fresnel = p.surface.specular + schlickFactor(p.surface, p.toViewer) *
+                                                      (1 - p.surface.roughness) *
+                                                      (Vector3f::Ones() - p.surface.specular);
     if (p.surface.roughness < 0.6f) {
       const Vector3f origin = p.surface.position + kRayOffset * p.surface.geometricNormal;
       const float spread = p.surface.roughness * p.surface.roughness;
@@ -456,8 +457,8 @@ void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
       }
       // Other objects that the lamp lights, sharp: worth it only where much is mirrored.
       const Vector3f out = 2 * p.surface.normal.dot(p.toViewer) * p.surface.normal - p.toViewer;
-      const auto other = spread < 0.08f && fresnel.maxCoeff() > 0.1f ? stillLife->hit(origin, out)
-                                                                      : std::nullopt;
+      const auto other =
+          spread < 0.08f && fresnel.maxCoeff() > 0.1f ? stillLife->hit(origin, out) : std::nullopt;
       if (other) {
         Point m;
         m.surface = *other;
@@ -504,8 +505,8 @@ void SceneView::State::store(const std::vector<Point>& points, std::vector<Block
   }
 }
 
-// The surroundings come from a few rays each: average them over neighbours on the same surface, then
-// add the ambient light.
+// The surroundings come from a few rays each: average them over neighbours on the same surface,
+// then add the ambient light.
 void SceneView::State::smoothSurroundings(const std::vector<Point*>& points) {
   std::vector<const Point*> at(static_cast<std::size_t>(kWidth) * kHeight, nullptr);
   for (const Point* p : points) at[static_cast<std::size_t>(p->pixel)] = p;
@@ -535,8 +536,8 @@ void SceneView::State::smoothSurroundings(const std::vector<Point*>& points) {
     sum.ambient /= weight;
     // A sharp mirror image needs no smoothing and would suffer.
     constexpr float kSharp = 0.3f;
-    sum.mirrored = p.surface.roughness < kSharp ? p.surroundings.mirrored
-                                                : Vector3f(sum.mirrored / weight);
+    sum.mirrored =
+        p.surface.roughness < kSharp ? p.surroundings.mirrored : Vector3f(sum.mirrored / weight);
     sum.openness /= weight;
     sum.bounceColour /= weight;
     sum.bounceNormal /= weight;
@@ -556,15 +557,17 @@ void SceneView::State::prepare() {
     std::vector<Point> points, mirrored;
   };
   std::vector<Tile> grid(kTileColumns * kTileRows);
-  tbb::parallel_for(tbb::blocked_range<int>(0, kTileRows), [&](const tbb::blocked_range<int>& range) {
-    for (int place = range.begin() * kTileColumns; place < range.end() * kTileColumns; ++place) {
-      Tile& tile = grid[static_cast<std::size_t>(place)];
-      for (int i = 0; i < kLanes; ++i) {
-        addPixel(place % kTileColumns * kTile + i % kTile, place / kTileColumns * kTile + i / kTile,
-                 tile.points, tile.mirrored);
-      }
-    }
-  });
+  tbb::parallel_for(
+      tbb::blocked_range<int>(0, kTileRows), [&](const tbb::blocked_range<int>& range) {
+        for (int place = range.begin() * kTileColumns; place < range.end() * kTileColumns;
+             ++place) {
+          Tile& tile = grid[static_cast<std::size_t>(place)];
+          for (int i = 0; i < kLanes; ++i) {
+            addPixel(place % kTileColumns * kTile + i % kTile,
+                     place / kTileColumns * kTile + i / kTile, tile.points, tile.mirrored);
+          }
+        }
+      });
 
   std::vector<Point*> points;
   for (Tile& tile : grid) {
@@ -619,7 +622,8 @@ void SceneView::State::traceLamp(const LampState& lamp, const LampPoints& lampPo
     if (atEdge(static_cast<int>(place))) {
       caster.castTile(tiles[k], visible);
     } else {
-      std::fill(std::begin(visible), std::end(visible), tileLight[place] == Light::kLit ? 1.0f : 0.0f);
+      std::fill(std::begin(visible), std::end(visible),
+                tileLight[place] == Light::kLit ? 1.0f : 0.0f);
     }
     addLight(tiles[k], centre, visible);
   }
@@ -639,8 +643,8 @@ void SceneView::State::addLight(const Block& b, const Lamp& lamp, const float* v
   }
 }
 
-SceneView::SceneView(std::shared_ptr<const StillLife> stillLife, const Room& room, LampMotion& motion,
-                     std::uint32_t seed)
+SceneView::SceneView(std::shared_ptr<const StillLife> stillLife, const Room& room,
+                     LampMotion& motion, std::uint32_t seed)
     : state_(std::make_unique<State>(std::move(stillLife), room, motion, seed)) {
   state_->prepare();
 }

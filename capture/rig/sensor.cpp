@@ -16,8 +16,8 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little);
 
-// Gaussian deviates drawn once; every stretch of samples reads them from a place of its own, which is
-// some thirty times faster than drawing afresh.
+// Gaussian deviates drawn once; every stretch of samples reads them from a place of its own, which
+// is some thirty times faster than drawing afresh.
 constexpr std::size_t kTableSize = 1 << 16;
 constexpr std::size_t kStretch = 256;
 const std::vector<float>& gaussianTable() {
@@ -32,8 +32,8 @@ const std::vector<float>& gaussianTable() {
 }
 
 struct Conversion {
-  float black, scale, top;        // counts
-  float shot, read;               // variance = shot * signal + read, in fractions^2
+  float black, scale, top;  // counts
+  float shot, read;         // variance = shot * signal + read, in fractions^2
 };
 
 LIGHTSKETCH_VECTORISED
@@ -53,10 +53,11 @@ int blackLevelCounts(PixelFormat format) { return 1 << (pixelFormatInfo(format).
 
 double noiseVariance(const Sensor& sensor, PixelFormat format, double signal, double gainDb) {
   const double top = (1 << pixelFormatInfo(format).bits) - 1;
-  const double countsPerElectron = std::pow(10, gainDb / 20) *
-                                   (top - blackLevelCounts(format)) / sensor.fullWellElectrons;
+  const double countsPerElectron =
+      std::pow(10, gainDb / 20) * (top - blackLevelCounts(format)) / sensor.fullWellElectrons;
   return countsPerElectron * countsPerElectron *
-         (signal * sensor.fullWellElectrons + sensor.readNoiseElectrons * sensor.readNoiseElectrons);
+         (signal * sensor.fullWellElectrons +
+          sensor.readNoiseElectrons * sensor.readNoiseElectrons);
 }
 
 void readOut(const Sensor& sensor, PixelFormat format, double gainDb, std::uint64_t noiseSeed,
@@ -78,7 +79,8 @@ void readOut(const Sensor& sensor, PixelFormat format, double gainDb, std::uint6
     const std::size_t place = hash64(noiseSeed + start) % kTableSize;
     convert(c, signal.data() + start, table.data() + place, count, counts);
     if (info.bits <= 8) {
-      for (std::size_t i = 0; i < count; ++i) bytes[start + i] = static_cast<std::uint8_t>(counts[i]);
+      for (std::size_t i = 0; i < count; ++i)
+        bytes[start + i] = static_cast<std::uint8_t>(counts[i]);
     } else {
       for (std::size_t i = 0; i < count; ++i) {
         const auto value = static_cast<std::uint16_t>(counts[i]);

@@ -22,17 +22,17 @@ constexpr double kDegree = std::numbers::pi / 180;
 constexpr double kReactionSeconds = 0.25;
 constexpr double kReactionSpread = 0.04;
 constexpr double kLampOffReactionSeconds = 0.3;
-constexpr double kPeakSpeed = 60 * kDegree;           // per second
-constexpr double kPassingSpeed = 28 * kDegree;        // with which a target is swept over
-constexpr double kSpeedPerDistance = 1.8;             // per second
-constexpr double kSpeedLag = 0.06;                    // seconds
-constexpr double kPeakAcceleration = 450 * kDegree;   // per second squared
+constexpr double kPeakSpeed = 60 * kDegree;          // per second
+constexpr double kPassingSpeed = 28 * kDegree;       // with which a target is swept over
+constexpr double kSpeedPerDistance = 1.8;            // per second
+constexpr double kSpeedLag = 0.06;                   // seconds
+constexpr double kPeakAcceleration = 450 * kDegree;  // per second squared
 constexpr double kArrivalAngle = 1.5 * kDegree;
-constexpr double kCoastSeconds = 0.22;                // decay of the speed after a target
-constexpr double kPatienceSeconds = 0.4;              // then it turns back to the last target
+constexpr double kCoastSeconds = 0.22;    // decay of the speed after a target
+constexpr double kPatienceSeconds = 0.4;  // then it turns back to the last target
 
 constexpr double kTremorHertz = 9.5;
-constexpr double kTremorAngle = 0.11 * kDegree;       // rms per axis
+constexpr double kTremorAngle = 0.11 * kDegree;  // rms per axis
 constexpr double kDriftAngle = 0.4 * kDegree;
 constexpr double kDriftSeconds = 1.5;
 constexpr double kRadiusWobble = 0.025;
@@ -102,7 +102,9 @@ struct SimulatedHand::State {
   double uniform(double low, double high) {
     return std::uniform_real_distribution<double>(low, high)(random);
   }
-  double exponential(double mean) { return std::exponential_distribution<double>(1 / mean)(random); }
+  double exponential(double mean) {
+    return std::exponential_distribution<double>(1 / mean)(random);
+  }
   double gaussian() { return normal(random); }
 
   void act(const Guide& guide) {
@@ -136,8 +138,7 @@ struct SimulatedHand::State {
   Vector3d wantedVelocity(double t) {
     if (mode == Guide::Mode::kLampOff || t < pauseUntil) return Vector3d::Zero();
     const bool away = t < leaveUntil;
-    const Vector3d aim =
-        away ? Vector3d(direction.x(), direction.y(), -0.35).normalized() : target;
+    const Vector3d aim = away ? Vector3d(direction.x(), direction.y(), -0.35).normalized() : target;
     const double distance = angleBetween(direction, aim);
     Vector3d toAim = aim - aim.dot(direction) * direction;
     toAim = toAim.norm() > 1e-9 ? toAim.normalized() : Vector3d(Vector3d::Zero());
@@ -187,7 +188,8 @@ struct SimulatedHand::State {
 
     // Muscles: the speed lags behind the wish and cannot change faster than they allow.
     Vector3d acceleration = (wantedVelocity(t) - velocity) / kSpeedLag;
-    if (acceleration.norm() > kPeakAcceleration) acceleration *= kPeakAcceleration / acceleration.norm();
+    if (acceleration.norm() > kPeakAcceleration)
+      acceleration *= kPeakAcceleration / acceleration.norm();
     velocity += kStep * acceleration;
     direction = (direction + kStep * velocity).normalized();
     velocity -= velocity.dot(direction) * direction;
@@ -196,11 +198,14 @@ struct SimulatedHand::State {
     sideways = (sideways - sideways.dot(direction) * direction).normalized();
     const Vector3d& u = sideways;
     const Vector3d v = direction.cross(u);
-    const double du = kTremorAngle * tremorU.next(gaussian()) + kDriftAngle * driftU.next(gaussian());
-    const double dv = kTremorAngle * tremorV.next(gaussian()) + kDriftAngle * driftV.next(gaussian());
+    const double du =
+        kTremorAngle * tremorU.next(gaussian()) + kDriftAngle * driftU.next(gaussian());
+    const double dv =
+        kTremorAngle * tremorV.next(gaussian()) + kDriftAngle * driftV.next(gaussian());
     Vector3d shaken = (direction + du * u + dv * v).normalized();
     const double radius =
-        kLampDistanceMetres * (1 + std::clamp(kRadiusWobble * radiusWander.next(gaussian()), -0.08, 0.08));
+        kLampDistanceMetres *
+        (1 + std::clamp(kRadiusWobble * radiusWander.next(gaussian()), -0.08, 0.08));
     // The lamp does not go through the table, unless the person takes it away below its edge.
     if (t >= leaveUntil + 0.5 && shaken.z() < 0.005 && direction.z() > -0.02) shaken.z() = 0.005;
 
@@ -239,10 +244,9 @@ SimulatedHand::~SimulatedHand() = default;
 void SimulatedHand::guide(const Guide& guide, double timeSeconds) {
   const std::lock_guard lock(state_->mutex);
   State& s = *state_;
-  const double reaction =
-      guide.mode == Guide::Mode::kLampOff
-          ? kLampOffReactionSeconds
-          : std::max(0.15, kReactionSeconds + kReactionSpread * s.gaussian());
+  const double reaction = guide.mode == Guide::Mode::kLampOff
+                              ? kLampOffReactionSeconds
+                              : std::max(0.15, kReactionSeconds + kReactionSpread * s.gaussian());
   // In the order shown: a later wish never overtakes an earlier one.
   const double earliest = s.perceived.empty() ? 0 : s.perceived.back().timeSeconds;
   s.perceived.push_back({std::max(timeSeconds + reaction, earliest), guide});

@@ -9,8 +9,8 @@
 
 namespace lightsketch {
 
-// Simulated in steps of 5 ms; the path is a function of the seed and of the guides with their times.
-// Thread-safe.
+// Simulated in steps of 5 ms; the path is a function of the seed and of the guides with their
+// times. Thread-safe.
 class SimulatedHand final : public LampMotion {
  public:
   explicit SimulatedHand(std::uint32_t seed);

@@ -138,7 +138,8 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::start(const SimulatedRigOpti
 
   s.startTime = Clock::now();
   FrameSource& sceneFrames = s.sceneLoop ? static_cast<FrameSource&>(*s.sceneLoop) : *s.sceneView;
-  FrameSource& sourceFrames = s.sourceLoop ? static_cast<FrameSource&>(*s.sourceLoop) : *s.sourceView;
+  FrameSource& sourceFrames =
+      s.sourceLoop ? static_cast<FrameSource&>(*s.sourceLoop) : *s.sourceView;
   ASSIGN_OR_RETURN(s.sceneDevice, GigeDevice::start(sceneFrames, scene, s.startTime));
   ASSIGN_OR_RETURN(s.sourceDevice, GigeDevice::start(sourceFrames, source, s.startTime));
   return std::unique_ptr<SimulatedRig>(new SimulatedRig(std::move(state)));

@@ -19,18 +19,18 @@ namespace lightsketch {
 struct SimulatedRigOptions {
   std::string sceneAddress = "127.0.0.11";
   std::string sourceAddress = "127.0.0.12";
-  std::filesystem::path scene;      // a samples/*.json scene; empty: the built-in still life
+  std::filesystem::path scene;  // a samples/*.json scene; empty: the built-in still life
   std::uint32_t seed = 1;
   double framesPerSecond = 12;
   double packetLoss = 0;
-  // Frames rendered beforehand and served from memory in a loop, so that timing the program does not
-  // time the ray caster. 0: traced live.
+  // Frames rendered beforehand and served from memory in a loop, so that timing the program does
+  // not time the ray caster. 0: traced live.
   int prerenderedFrames = 0;
 };
 
 // Ground truth, for tests and reports only; never part of what the pipeline sees.
 struct LampTruth {
-  double timeSeconds = 0;             // since the rig's start
+  double timeSeconds = 0;  // since the rig's start
   bool lit = false;
   bool visibleToSource = false;       // lit, inside the field, behind neither hand nor object
   Eigen::Vector3d lampInScene;        // metres

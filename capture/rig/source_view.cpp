@@ -32,14 +32,14 @@ constexpr double kLampRadiance =
 
 // Point spread: the optics' blur, and the part of the light that scatters into a halo.
 constexpr double kBlurPixels = 0.8;
-constexpr double kHaloShare = 5e-4, kHaloPixels = 9;    // Gaussian
-constexpr double kVeilShare = 2.5e-4, kVeilPixels = 14; // (1 + r^2 / s^2)^-2, integral pi s^2
+constexpr double kHaloShare = 5e-4, kHaloPixels = 9;     // Gaussian
+constexpr double kVeilShare = 2.5e-4, kVeilPixels = 14;  // (1 + r^2 / s^2)^-2, integral pi s^2
 constexpr double kGhostShare = 3e-6, kGhostPixels = 9;   // lens reflection, mirrored at the centre
-constexpr int kGlareReach = 130;                        // pixels
+constexpr int kGlareReach = 130;                         // pixels
 
-constexpr double kHandRadius = 0.05;     // metres
-constexpr double kHandBehind = 0.16;     // the lamp sits on a short stick
-constexpr double kTableGloss = 0.12;     // of the Fresnel reflectance is left in the mirror direction
+constexpr double kHandRadius = 0.05;  // metres
+constexpr double kHandBehind = 0.16;  // the lamp sits on a short stick
+constexpr double kTableGloss = 0.12;  // of the Fresnel reflectance is left in the mirror direction
 
 // Cuts the light that goes backwards, away from the scene: the bulb sits in a shade.
 double emission(const Vector3d& fromLamp, const Vector3d& lampPosition) {
@@ -163,8 +163,7 @@ void SourceView::State::prepare() {
   tbb::parallel_for(0, kNodes, [&](int row) {
     for (int column = 0; column < kNodes; ++column) {
       const auto i = static_cast<std::size_t>(row * kNodes + column);
-      const Vector3d inCamera =
-          lens.unprojectUnbounded(Vector2d(column * kCell, row * kCell));
+      const Vector3d inCamera = lens.unprojectUnbounded(Vector2d(column * kCell, row * kCell));
       directions[i] = sceneFromCamera.linear() * inCamera;
       const Vector3f direction = directions[i].cast<float>();
       Node& node = nodes[i];
@@ -203,7 +202,8 @@ void SourceView::State::shadePixel(int x, int y, const std::vector<Vector3d>& di
     const Vector3d direction = ((1 - fy) * ((1 - fx) * corner(0, 0) + fx * corner(1, 0)) +
                                 fy * ((1 - fx) * corner(0, 1) + fx * corner(1, 1)))
                                    .normalized();
-    const double theta = std::acos(std::clamp(direction.dot(sceneFromCamera.linear().col(2)), -1.0, 1.0));
+    const double theta =
+        std::acos(std::clamp(direction.dot(sceneFromCamera.linear().col(2)), -1.0, 1.0));
     if (theta > FisheyeLens::kMaxFieldAngle.radians()) continue;
 
     const float share = 0.25f * vignetting(theta);
@@ -214,7 +214,8 @@ void SourceView::State::shadePixel(int x, int y, const std::vector<Vector3d>& di
     if (hit) {
       // Ambient light, and the room mirrored in the polish.
       const Vector3f mirrored = d - 2 * d.dot(hit->normal) * hit->normal;
-      const float gloss = (1 - hit->roughness) * static_cast<float>(schlick(0.04, -d.dot(hit->normal)));
+      const float gloss =
+          (1 - hit->roughness) * static_cast<float>(schlick(0.04, -d.dot(hit->normal)));
       radiance = 0.04f * hit->albedo + gloss * room.trace(hit->position, mirrored).radiance;
       reflectance.setZero();
     } else {
@@ -298,13 +299,14 @@ void SourceView::State::drawCover(const LampState& lamp) {
   const Vector3d towards = (eye - lamp.position).normalized();
   Vector3d side = lamp.position + Vector3d(0.1, -0.3, -0.4);
   side = (side - side.dot(towards) * towards).normalized();
-  const Vector3d hand = lamp.position + 0.06 * towards +
-                        (1 - lamp.cover) * 2.6 * kHandRadius * side;
+  const Vector3d hand =
+      lamp.position + 0.06 * towards + (1 - lamp.cover) * 2.6 * kHandRadius * side;
   drawShadow(hand, kHandRadius);
   drawShadow(hand + 0.06 * side, 0.8 * kHandRadius);
 }
 
-void SourceView::State::drawGlare(const Vector2d& centre, double flux, std::vector<float>& out) const {
+void SourceView::State::drawGlare(const Vector2d& centre, double flux,
+                                  std::vector<float>& out) const {
   constexpr double kTau = 2 * std::numbers::pi;
   const auto halo = static_cast<float>(flux * kHaloShare / (kTau * kHaloPixels * kHaloPixels));
   const auto veil = static_cast<float>(2 * flux * kVeilShare / (kTau * kVeilPixels * kVeilPixels));
@@ -347,7 +349,8 @@ void SourceView::State::drawDisk(const Disk& disk, double radiance, double glare
   const Matrix2d covariance =
       0.25 * disk.axes * disk.axes.transpose() + kBlurPixels * kBlurPixels * Matrix2d::Identity();
   const Matrix2d information = covariance.inverse();
-  const double peak = radiance * disk.area() / (2 * std::numbers::pi * std::sqrt(covariance.determinant()));
+  const double peak =
+      radiance * disk.area() / (2 * std::numbers::pi * std::sqrt(covariance.determinant()));
 
   const double reach = svd.singularValues()[0] + 7 * kBlurPixels + 1;
   const int x0 = std::max(0, static_cast<int>(disk.centre.x() - reach));
@@ -419,7 +422,8 @@ void SourceView::State::drawReflections(const LampState& lamp) {
 SourceView::SourceView(std::shared_ptr<const StillLife> stillLife, const Room& room,
                        LampMotion& motion, std::uint32_t seed,
                        std::function<void(const Guide&)> onGuide)
-    : state_(std::make_unique<State>(std::move(stillLife), room, motion, seed, std::move(onGuide))) {}
+    : state_(
+          std::make_unique<State>(std::move(stillLife), room, motion, seed, std::move(onGuide))) {}
 SourceView::~SourceView() = default;
 
 const Isometry3d& SourceView::sceneFromCamera() const { return state_->sceneFromCamera; }
@@ -430,8 +434,8 @@ void SourceView::guide(const Guide& guide) {
 
 bool SourceView::seesLamp(const LampState& lamp) const {
   const State& s = *state_;
-  // The sliding hand reaches the lamp's disk at about a third of its way.
-  constexpr double kHandAtLamp = 0.3;
+  // The sliding hand touches the lamp's disk at about half of its way.
+  constexpr double kHandAtLamp = 0.45;
   if (!lamp.lit || lamp.cover > kHandAtLamp) return false;
   if (!s.lens.project(s.sceneFromCamera.inverse() * lamp.position)) return false;
   return !s.stillLife->occluded(s.sceneFromCamera.translation().cast<float>(),
@@ -474,7 +478,8 @@ const std::vector<float>& SourceView::render(double timeSeconds, double exposure
 
   // The lens' own ghost, small and weak, opposite the centre; and the mirror images, which the hand
   // does not cover.
-  if (const auto disk = project(s.lens, s.sceneFromCamera.inverse() * lamp.position, kLampRadiusMetres)) {
+  if (const auto disk =
+          project(s.lens, s.sceneFromCamera.inverse() * lamp.position, kLampRadiusMetres)) {
     const Vector2d middle = Vector2d::Constant(kSize / 2.0);
     const Disk ghost{middle - 0.45 * (disk->centre - middle), kGhostPixels * Matrix2d::Identity()};
     const double flux = uncovered * kLampRadiance * disk->area();
@@ -491,9 +496,10 @@ void SourceView::expose(const ExposureRequest& request, std::vector<std::uint8_t
   const auto width = static_cast<std::size_t>(r.width), height = static_cast<std::size_t>(r.height);
   s.signal.resize(width * height);
   for (std::size_t y = 0; y < height; ++y) {
-    scale(image.data() + (static_cast<std::size_t>(r.y) + y) * kSize + static_cast<std::size_t>(r.x),
-          static_cast<float>(kSignalPerSecond * request.exposureSeconds), width,
-          s.signal.data() + y * width);
+    scale(
+        image.data() + (static_cast<std::size_t>(r.y) + y) * kSize + static_cast<std::size_t>(r.x),
+        static_cast<float>(kSignalPerSecond * request.exposureSeconds), width,
+        s.signal.data() + y * width);
   }
   bytes.resize(s.signal.size() *
                static_cast<std::size_t>(pixelFormatInfo(request.format).bytesPerPixel));

@@ -1,5 +1,5 @@
-// What the source camera sees through its fisheye: a room with bright lights in it, the lamp with its
-// glare and its mirror images, and the hand that holds it.
+// What the source camera sees through its fisheye: a room with bright lights in it, the lamp with
+// its glare and its mirror images, and the hand that holds it.
 #pragma once
 
 #include <Eigen/Geometry>

@@ -35,7 +35,7 @@ struct Material {
   float scale = 0.01f;     // metres per feature
   Vector3f specular = Vector3f::Constant(0.04f);
   float roughness = 0.5f;
-  float bump = 0;          // slope of the bumps
+  float bump = 0;  // slope of the bumps
   float bumpScale = 0.001f;
   float translucency = 0;
   float thickness = 0;
@@ -87,7 +87,8 @@ Vector3f colourAt(const Material& m, const Vector3f& p) {
     case Texture::kFruit: {
       // Blush from one side, streaks along the meridians, pale dots.
       const float azimuth = std::atan2(p.y(), p.x());
-      const float streak = fractalNoise({5 * std::cos(azimuth), 5 * std::sin(azimuth), 0.4f * q.z()}, 4);
+      const float streak =
+          fractalNoise({5 * std::cos(azimuth), 5 * std::sin(azimuth), 0.4f * q.z()}, 4);
       mix = smooth(0.25f, 0.75f, 0.5f + 0.45f * p.x() / m.scale * 0.5f + 0.7f * (streak - 0.5f));
       if (fractalNoise(9 * q, 1) > 0.86f) mix *= 0.6f;
       break;
@@ -96,9 +97,9 @@ Vector3f colourAt(const Material& m, const Vector3f& p) {
       // Painted bands and petals around the axis.
       const float azimuth = std::atan2(p.y(), p.x()) + 0.03f * fractalNoise(3 * q, 2);
       const float band = q.z() - std::floor(q.z());
-      const float petal = std::abs(std::sin(4 * azimuth + (std::fmod(std::floor(q.z()), 2.0f) != 0
-                                                               ? std::numbers::pi_v<float> / 2
-                                                               : 0)));
+      const float petal = std::abs(
+          std::sin(4 * azimuth +
+                   (std::fmod(std::floor(q.z()), 2.0f) != 0 ? std::numbers::pi_v<float> / 2 : 0)));
       const float edge = 0.5f + 0.42f * petal;
       mix = band < 0.08f || band > 0.94f ? 1.0f : (std::abs(band - edge) < 0.055f ? 0.9f : 0.0f);
       if (band < edge - 0.12f && band > 0.2f && petal > 0.75f) mix = 0.55f;
@@ -128,9 +129,10 @@ float rosette(float x, float y, const Vector3f& size, float depth) {
   const float r = std::hypot(x, y) / (0.5f * std::min(size.x(), size.y()));
   const float azimuth = std::atan2(y, x);
   const float petals = 0.62f + 0.2f * std::cos(8 * azimuth);
-  float h = 0.55f * smooth(0.04f, -0.04f, r - petals) * (1 - 0.55f * std::abs(std::sin(4 * azimuth)));
-  h += 0.5f * smooth(0.26f, 0.10f, r);                                             // boss
-  h += 0.45f * std::exp(-std::pow((r - 0.9f) / 0.045f, 2.0f));                     // ring
+  float h =
+      0.55f * smooth(0.04f, -0.04f, r - petals) * (1 - 0.55f * std::abs(std::sin(4 * azimuth)));
+  h += 0.5f * smooth(0.26f, 0.10f, r);                          // boss
+  h += 0.45f * std::exp(-std::pow((r - 0.9f) / 0.045f, 2.0f));  // ring
   const float border = std::min(size.x() / 2 - std::abs(x), size.y() / 2 - std::abs(y));
   h += 0.6f * smooth(0.0035f, 0.0025f, border);
   return depth * h;
@@ -156,7 +158,8 @@ Result<float> optionalNumber(const Json& json, std::string_view field, double fa
   if (!json.contains(field)) return static_cast<float>(fallback);
   ASSIGN_OR_RETURN(const double value, jsonNumber(json, field, where));
   if (value < low || value > high) {
-    return failure(ErrorCode::kCorrupt, "{}: field '{}' is outside {}..{}", where, field, low, high);
+    return failure(ErrorCode::kCorrupt, "{}: field '{}' is outside {}..{}", where, field, low,
+                   high);
   }
   return static_cast<float>(value);
 }
@@ -176,8 +179,8 @@ Result<Material> readMaterial(const Json& json, const std::string& where) {
   const auto known = kTextures.find(texture);
   if (known == kTextures.end()) {
     return failure(ErrorCode::kUnsupported,
-                   "{}: unknown texture '{}'; known: plain, wood, weave, marble, fruit, glaze", where,
-                   texture);
+                   "{}: unknown texture '{}'; known: plain, wood, weave, marble, fruit, glaze",
+                   where, texture);
   }
   m.texture = known->second;
   ASSIGN_OR_RETURN(m.first, vectorField(json, "first", where));
@@ -240,7 +243,8 @@ Result<Mesh> readShape(const Json& json, const std::string& where) {
     ASSIGN_OR_RETURN(const auto rows, rowsField(json, "spheres", 4, 1, where));
     Mesh mesh;
     for (const auto& row : rows) {
-      if (row[3] <= 0) return failure(ErrorCode::kCorrupt, "{}: a sphere's radius is not positive", where);
+      if (row[3] <= 0)
+        return failure(ErrorCode::kCorrupt, "{}: a sphere's radius is not positive", where);
       mesh.append(makeEllipsoid(Vector3f::Constant(static_cast<float>(row[3]))),
                   row.head<3>().cast<float>());
     }
@@ -250,7 +254,8 @@ Result<Mesh> readShape(const Json& json, const std::string& where) {
     ASSIGN_OR_RETURN(const auto size, sizeField(json, "size", where));
     ASSIGN_OR_RETURN(const float depth, optionalNumber(json, "depth", 0.002, 0, 1, where));
     if (shape == "cloth") {
-      return makeHeightField(size, 160, 160, [=](float x, float y) { return clothFolds(x, y, depth); });
+      return makeHeightField(size, 160, 160,
+                             [=](float x, float y) { return clothFolds(x, y, depth); });
     }
     return makeHeightField(size, 220, 180,
                            [=](float x, float y) { return rosette(x, y, size, depth); });
@@ -381,7 +386,8 @@ Result<void> StillLife::State::build() {
                                 3 * sizeof(std::uint32_t), mesh.triangles.size()));
     if (!vertices || !indices) return failure(ErrorCode::kDevice, "simulated rig: out of memory");
     for (std::size_t i = 0; i < mesh.positions.size(); ++i) {
-      for (int k = 0; k < 3; ++k) vertices[3 * i + static_cast<std::size_t>(k)] = mesh.positions[i][k];
+      for (int k = 0; k < 3; ++k)
+        vertices[3 * i + static_cast<std::size_t>(k)] = mesh.positions[i][k];
     }
     for (std::size_t i = 0; i < mesh.triangles.size(); ++i) {
       for (std::size_t k = 0; k < 3; ++k) indices[3 * i + k] = mesh.triangles[i][k];
@@ -432,7 +438,8 @@ Result<std::shared_ptr<const StillLife>> StillLife::load(const std::filesystem::
 StillLife::StillLife(std::unique_ptr<State> state) : state_(std::move(state)) {}
 StillLife::~StillLife() = default;
 
-std::optional<SurfacePoint> StillLife::hit(const Vector3f& origin, const Vector3f& direction) const {
+std::optional<SurfacePoint> StillLife::hit(const Vector3f& origin,
+                                           const Vector3f& direction) const {
   const RTCRayHit ray = castRay(state_->scene, origin, direction);
   if (ray.hit.geomID == RTC_INVALID_GEOMETRY_ID) return std::nullopt;
   const Object& object = state_->objects[ray.hit.geomID];
@@ -447,9 +454,9 @@ std::optional<SurfacePoint> StillLife::hit(const Vector3f& origin, const Vector3
                     ray.hit.u * object.mesh.normals[corners[1]] +
                     ray.hit.v * object.mesh.normals[corners[2]];
   const Vector3f local = object.objectFromScene * point.position;
-  normal = object.objectFromScene.linear().transpose() *
-           bumpedNormal(object.material, local,
-                        (object.objectFromScene.linear() * normal).normalized());
+  normal =
+      object.objectFromScene.linear().transpose() *
+      bumpedNormal(object.material, local, (object.objectFromScene.linear() * normal).normalized());
   if (point.geometricNormal.dot(direction) > 0) point.geometricNormal *= -1;
   if (normal.dot(point.geometricNormal) < 0) normal *= -1;
   point.normal = normal;

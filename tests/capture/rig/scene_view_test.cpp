@@ -103,8 +103,8 @@ TEST(SceneView, WhiteUnderTheLampHasTwoThirdsOfTheRange) {
   Bench& b = bench();
   const Vector3d point(-0.05, -0.03, 0);
   b.lamp.state.position = point + Vector3d(0, 0, 0.9);
-  // Radiance albedo x (0.9 / d)^2 x cosine; the rest of the room sends some percent back, the lamp's
-  // green is 0.965.
+  // Radiance albedo x (0.9 / d)^2 x cosine; the rest of the room sends some percent back, the
+  // lamp's green is 0.965.
   const double direct = 0.7 * 0.965;
   const double light = b.lampLightAt(point);
   EXPECT_GT(light, direct);
@@ -144,8 +144,8 @@ TEST(SceneView, ShadowLiesWhereGeometryPutsIt) {
   const Vector3d ray = corner - b.lamp.state.position;
   const double end = corner.x() - ray.x() / ray.z() * kBoxHeight;
   const double lit = b.lampLightAt(Vector3d(end + 0.01, 0, 0));
-  // The penumbra: lamp of 15 mm radius at 0.9 m, occluder 42 mm away: +-0.7 mm, stretched to 1 mm by
-  // the slant.
+  // The penumbra: lamp of 15 mm radius at 0.9 m, occluder 42 mm away: +-0.7 mm, stretched to 1 mm
+  // by the slant.
   EXPECT_LT(b.lampLightAt(Vector3d(end - 0.002, 0, 0)), 0.12 * lit);
   EXPECT_LT(b.lampLightAt(Vector3d((edge + end) / 2, 0, 0)), 0.12 * lit);
   EXPECT_GT(b.lampLightAt(Vector3d(end + 0.002, 0, 0)), 0.9 * lit);
@@ -196,8 +196,8 @@ TEST(SceneView, NoiseIsPhotonsAndReadNoise) {
     mean = mean / count - 64;
     // 10500 electrons fill 4031 counts; 4 electrons of read noise; 1/12 from quantisation.
     const double countsPerElectron = 4031.0 / 10500;
-    const double expected = mean * countsPerElectron +
-                            16 * countsPerElectron * countsPerElectron + 1 / 12.0;
+    const double expected =
+        mean * countsPerElectron + 16 * countsPerElectron * countsPerElectron + 1 / 12.0;
     // A variance from 20,000 samples is good to 1 percent, one sigma.
     EXPECT_NEAR(difference2 / count / 2 / expected, 1, 0.04) << seconds;
   }
@@ -298,7 +298,8 @@ TEST(StillLife, RefusesDamagedScenesInWords) {
     return messageFor(text);
   };
   EXPECT_EQ(messageFor(good), "loaded");
-  EXPECT_NE(with("\"box\"", "\"teapot\"").find("object 1: unknown shape 'teapot'"), std::string::npos);
+  EXPECT_NE(with("\"box\"", "\"teapot\"").find("object 1: unknown shape 'teapot'"),
+            std::string::npos);
   EXPECT_NE(with("[0.02, 0.02, 0.03]", "[0.02, -1, 0.03]").find("'size'"), std::string::npos);
   EXPECT_NE(with("\"roughness\": 1", "\"roughness\": 40").find("'roughness'"), std::string::npos);
   EXPECT_NE(with("\"formatVersion\": 1", "\"formatVersion\": 9").find("newer"), std::string::npos);

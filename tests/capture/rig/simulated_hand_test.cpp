@@ -81,7 +81,8 @@ TEST(SimulatedHand, OvershootsButComesBack) {
     for (double t = 5; t < 8; t += 0.01) {
       const Vector3d here = hand.at(t).position.normalized();
       // Positive beyond the target, along the way it came.
-      past = std::max(past, (std::atan2(here.x(), here.z()) - std::atan2(to.x(), to.z())) / kDegree);
+      past =
+          std::max(past, (std::atan2(here.x(), here.z()) - std::atan2(to.x(), to.z())) / kDegree);
     }
     EXPECT_LT(past, 12) << "seed " << seed;
     overshoots += past > 1.5;
@@ -106,7 +107,8 @@ TEST(SimulatedHand, SweepsThroughTargetsThatChangeOnArrivalAndKeepsSteadyEnough)
     const double motion = degreesBetween(hand.at(t - 0.01).position, hand.at(t + 0.01).position);
     ++frames;
     steady += motion < 1;
-    if (degreesBetween(hand.at(t).position, target(next)) < 4) hand.guide(follow(target(++next)), t);
+    if (degreesBetween(hand.at(t).position, target(next)) < 4)
+      hand.guide(follow(target(++next)), t);
   }
   std::printf("targets a second: %.2f, steady frames %.3f\n", next / kSeconds,
               static_cast<double>(steady) / frames);

@@ -139,14 +139,14 @@ TEST(SourceView, StaticLightsAreThereWithoutTheLampAndSomeSaturate) {
   EXPECT_GT(saturated, 500);
   EXPECT_LT(saturated, kSize * kSize / 50);
   for (const auto& spot : b.room.spots()) {
-    const auto pixel = FisheyeLens().project(b.view->sceneFromCamera().inverse() *
-                                             spot.position.cast<double>());
+    const auto pixel =
+        FisheyeLens().project(b.view->sceneFromCamera().inverse() * spot.position.cast<double>());
     ASSERT_TRUE(pixel);
     EXPECT_EQ(b.sample(b.dark, *pixel), 255);
   }
   for (const auto& panel : b.room.panels()) {
-    const auto pixel = FisheyeLens().project(
-        b.view->sceneFromCamera().inverse() * (0.5f * (panel.low + panel.high)).cast<double>());
+    const auto pixel = FisheyeLens().project(b.view->sceneFromCamera().inverse() *
+                                             (0.5f * (panel.low + panel.high)).cast<double>());
     ASSERT_TRUE(pixel);
     EXPECT_EQ(b.sample(b.dark, *pixel), 255);
   }
@@ -178,15 +178,17 @@ TEST(SourceView, CoveringHandHidesTheLampButNotItsMirrorImage) {
   EXPECT_LT(b.sample(picture, *b.truePixel()), 60);
   Vector3d mirrored = b.lamp.state.position;
   mirrored.x() = 2 * b.room.panes()[1].value - mirrored.x();
-  EXPECT_EQ(b.sample(picture, *FisheyeLens().project(b.view->sceneFromCamera().inverse() * mirrored)),
-            255);
+  EXPECT_EQ(
+      b.sample(picture, *FisheyeLens().project(b.view->sceneFromCamera().inverse() * mirrored)),
+      255);
 }
 
 TEST(SourceView, LampBelowTheFieldOrBehindTheVaseIsNotSeen) {
   Bench& b = bench();
   b.lamp.state.position = Vector3d(-0.8, 0.1, -0.3);
   EXPECT_FALSE(b.view->seesLamp(b.lamp.state));
-  // The vase stands at (-0.048, 0.047), 70 mm high: in line with the camera and just above the table.
+  // The vase stands at (-0.048, 0.047), 70 mm high: in line with the camera and just above the
+  // table.
   const Vector3d eye = b.view->sceneFromCamera().translation();
   const Vector3d belly(-0.048, 0.047, eye.z() + 0.003);
   b.lamp.state.position = eye + 0.8 * (belly - eye).normalized();
