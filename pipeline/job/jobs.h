@@ -86,7 +86,8 @@ Result<JobResult> relightJob(const RelightJob& job);
 // in the report's folder.
 struct ValidateJob {
   std::filesystem::path sketch;
-  std::string holdOutRule;  // empty: the model's, else every:8:4 or (dense sets) cells:8:4
+  std::string holdOutRule;  // empty: the model's, else cells:8:4 for free-hand sets of many frames
+                            // and every:8:4 for others
   std::filesystem::path model;
   CompressOptions compress;
   std::filesystem::path environment;  // for the superposition check; empty: a built-in sky

@@ -11,8 +11,13 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// From this many frames on, a sketch counts as dense: single frames held out would leave near twins.
-constexpr std::size_t kDenseFrames = 200;
+// The hold-out where none is asked for. Free-hand sets of many frames hold near twins, so whole cells
+// are kept back; the recorder keeps one frame a cell, and small sets have none to spare.
+std::string defaultHoldOut(const Sketch& sketch) {
+  constexpr std::size_t kManyFrames = 200;
+  const bool freeHand = sketch.manifest().directions == 0;
+  return freeHand && sketch.activeFrames().size() >= kManyFrames ? "cells:8:4" : "every:8:4";
+}
 
 Result<void> requireParent(const fs::path& file) {
   std::error_code error;
@@ -62,9 +67,7 @@ Result<JobResult> validateJob(const ValidateJob& job, Progress& progress) {
     ASSIGN_OR_RETURN(model, loadModel(job.model));
   } else {
     CompressOptions compressOptions = job.compress;
-    if (options.holdOutRule.empty()) {
-      options.holdOutRule = sketch.activeFrames().size() >= kDenseFrames ? "cells:8:4" : "every:8:4";
-    }
+    if (options.holdOutRule.empty()) options.holdOutRule = defaultHoldOut(sketch);
     compressOptions.holdOutRule = options.holdOutRule;
     ASSIGN_OR_RETURN(auto compressed, compress(sketch, compressOptions, progress));
     model = std::move(compressed.model);
