@@ -14,6 +14,8 @@
 #include <memory>
 #include <mutex>
 #include <new>
+#include <span>
+#include <string_view>
 #include <utility>
 
 #include "capture/frame/file.h"
@@ -51,8 +53,6 @@ class Handle {
   Handle& operator=(const Handle&) = delete;
   operator hid_t() const { return id_; }
   explicit operator bool() const { return id_ >= 0; }
-  // Closes now and says whether that worked: buffered data is written then.
-  bool close() { return close_(std::exchange(id_, -1)) >= 0; }
 
  private:
   hid_t id_;
@@ -127,7 +127,7 @@ class Writer {
   bool ok_ = true;
 };
 
-// XXH3 of everything after the user block; `buffer` is for reading.
+// XXH3 of everything after the user block.
 Result<std::string> checksumBehindUserBlock(int fd, const std::filesystem::path& path) {
   std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(),
                                                                  XXH3_freeState);
@@ -298,10 +298,16 @@ Result<InterpolationSettings> interpolationFrom(const Json& json, const std::str
   return settings;
 }
 
-bool writeContent(const RelightableModel& model, const std::filesystem::path& path) {
+// The whole HDF5 file, built in memory: libhdf5 1.10 crashes when a disk fills up under it. Calls
+// use(bytes) with a zeroed user block in front. False if libhdf5 failed.
+template <class Use>
+bool buildFile(const RelightableModel& model, Use use) {
   const Handle creation(H5Pcreate(H5P_FILE_CREATE), H5Pclose);
   H5Pset_userblock(creation, kUserBlock);
-  Handle file(H5Fcreate(path.c_str(), H5F_ACC_TRUNC, creation, H5P_DEFAULT), H5Fclose);
+  const Handle access(H5Pcreate(H5P_FILE_ACCESS), H5Pclose);
+  constexpr std::size_t kIncrement = std::size_t{1} << 24;
+  H5Pset_fapl_core(access, kIncrement, false);
+  const Handle file(H5Fcreate("model in memory", H5F_ACC_TRUNC, creation, access), H5Fclose);
   if (!file) return false;
   Writer writer(file);
   const Handle half(makeHalfType(), H5Tclose);
@@ -344,7 +350,17 @@ bool writeContent(const RelightableModel& model, const std::filesystem::path& pa
   writer.text("sketch", model.sketch);
   writer.text("software", model.software);
   writer.text("notes", model.notes.dump());
-  return writer.ok() && H5Fflush(file, H5F_SCOPE_GLOBAL) >= 0 && file.close();
+  void* handle = nullptr;
+  if (!writer.ok() || H5Fflush(file, H5F_SCOPE_GLOBAL) < 0 ||
+      H5Fget_vfd_handle(file, access, &handle) < 0) {
+    return false;
+  }
+  // The buffer is larger than the file; the image's size is without the user block.
+  const ssize_t image = H5Fget_file_image(file, nullptr, 0);
+  if (image <= 0) return false;
+  use(std::span(static_cast<char*>(*static_cast<void**>(handle)),
+                kUserBlock + static_cast<std::size_t>(image)));
+  return true;
 }
 
 std::string userBlockLine(const std::string& checksum) {
@@ -455,22 +471,19 @@ Result<void> saveModel(const RelightableModel& model, const std::filesystem::pat
   }
   const std::scoped_lock lock(hdf5Mutex());
   H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
-  PendingFile pending(path);
-  errno = 0;
-  if (!writeContent(model, pending.path())) {
-    const int error = errno;
-    return failure(ErrorCode::kIo, "{}: cannot write the model: {}", path.string(),
-                   error != 0 ? systemMessage(error) : "libhdf5 gave up");
+  Result<void> written;
+  const auto write = [&](std::span<char> bytes) {
+    const auto content = bytes.subspan(kUserBlock);
+    const std::string line =
+        userBlockLine(fmt::format("{:016x}", XXH3_64bits(content.data(), content.size())));
+    std::copy(line.begin(), line.end(), bytes.begin());
+    written = writeFileAtomically(path, std::string_view(bytes.data(), bytes.size()));
+  };
+  if (!buildFile(model, write)) {
+    return failure(ErrorCode::kIo, "{}: libhdf5 could not build the model; is there memory enough?",
+                   path.string());
   }
-  {
-    const Descriptor file(::open(pending.path().c_str(), O_RDWR | O_CLOEXEC));
-    ASSIGN_OR_RETURN(const std::string sum, checksumBehindUserBlock(file.get(), path));
-    const std::string line = userBlockLine(sum);
-    if (::pwrite(file.get(), line.data(), line.size(), 0) != static_cast<ssize_t>(line.size())) {
-      return failure(ErrorCode::kIo, "{}: cannot write: {}", path.string(), systemMessage(errno));
-    }
-  }
-  return pending.commit();
+  return written;
 }
 
 Result<RelightableModel> loadModel(const std::filesystem::path& path) {
