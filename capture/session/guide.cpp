@@ -12,12 +12,12 @@ using Eigen::Vector3d;
 
 // A person's reaction and the way of a frame through the program, at first and at most.
 constexpr double kFirstLeadSeconds = 0.3;
-constexpr double kLongestLeadSeconds = 0.4;
+constexpr double kLongestLeadSeconds = 0.5;
 constexpr double kLeadPerHit = 0.01;   // longer by this
 constexpr double kLeadPerMiss = 0.85;  // shorter by this factor
 constexpr double kMissedAfterSeconds = 0.8;
 // In vain: longer than it takes to get there unhurriedly and to try for a while.
-constexpr double kPatienceSeconds = 2.5;
+constexpr double kPatienceSeconds = 1.5;
 constexpr double kUnhurried = Angle::degrees(20).radians();  // a second
 constexpr std::chrono::milliseconds kBetweenWrites{100};
 

@@ -6,6 +6,7 @@
 #include <deque>
 #include <mutex>
 #include <optional>
+#include <string>
 
 #include "calibration/model/rig_geometry.h"
 #include "capture/tracker/lamp_tracker.h"
@@ -27,7 +28,7 @@ enum class PairingFailure { kUnpaired, kLampNotSeen };
 // What the tracker said over the last seconds. Thread-safe: one thread adds, others ask.
 class ObservationHistory {
  public:
-  void add(TimePoint time, std::optional<LampObservation> observation);
+  void add(TimePoint time, TrackResult result);
   // No more will come.
   void end();
   // Waits until a source frame at or after `time` was tracked, the history has ended, or
@@ -37,11 +38,14 @@ class ObservationHistory {
                                               double maxSeconds) const;
   // The two latest frames, if the lamp was seen in both: newest last.
   std::optional<std::pair<LampObservation, LampObservation>> latest() const;
+  // Why the lamp was not seen in the latest frame; empty if it was.
+  std::string trouble() const;
 
  private:
   struct Entry {
     TimePoint time;
     std::optional<LampObservation> observation;
+    std::string reason;
   };
   mutable std::mutex mutex_;  // Guards everything below.
   mutable std::condition_variable changed_;

@@ -275,12 +275,12 @@ void Recording::trackSource() {
   while (auto frame = sourceQueue_.pop()) {
     if (ambientPhase_) {
       if (auto status = tracker_.learnBackground(*frame); !status) return fail(status.error());
-      history_.add(frame->metadata.midExposure, std::nullopt);
+      history_.add(frame->metadata.midExposure, {});
       continue;
     }
     auto result = tracker_.track(*frame);
     if (!result) return fail(result.error());
-    history_.add(frame->metadata.midExposure, std::move(result->observation));
+    history_.add(frame->metadata.midExposure, std::move(*result));
   }
   history_.end();
 }
@@ -397,6 +397,7 @@ Result<Refusal> Recording::judge(const Frame& frame) {
 }
 
 void Recording::guideOn(double seconds) {
+  state_.lampTrouble = history_.trouble();
   if (const auto latest = history_.latest()) {
     const Vector3d before = lightAtSubject(latest->first, rig_).direction;
     const Vector3d now = lightAtSubject(latest->second, rig_).direction;

@@ -81,6 +81,7 @@ struct RecorderState {
   std::optional<Eigen::Vector3d> nextDirection;
   std::optional<Eigen::Vector3d> lampDirection;  // where it is now, scene frame
   std::optional<LampObservation> lamp;           // the same as the source camera saw it
+  std::string lampTrouble;                       // why it is not seen now; empty if it is
   Refusal lastRefusal = Refusal::kNone;
   int recorded = 0;
   double coverage = 0;

@@ -30,14 +30,18 @@ constexpr double kGateAcceleration = 5;                        // rad/s^2
 constexpr double kFastestHand = Angle::degrees(90).radians();  // a second
 constexpr Angle kWidestGate = Angle::degrees(15);
 constexpr double kTrackLifetime = 0.35;  // seconds without a blob
+constexpr Angle kResumeAngle = Angle::degrees(10);
+constexpr double kResumeSeconds = 0.2;
+constexpr double kPassageSeconds = 0.5;  // past a lamp of the room
 
 // Brightness, as differences of logarithms.
 constexpr double kStepTolerance = 0.20;     // against the last frames of the same track
 constexpr double kModelTolerance = 0.25;    // against what the lamp had in this direction
 constexpr double kTrackedTolerance = 0.60;  // the same while the track is unbroken
-constexpr double kMirrorTolerance = 0.15;   // downwards, where reflections were seen
-constexpr double kClearlyStronger = 0.25;   // than any rival
-constexpr int kModelTrusted = 100;          // accepted observations
+constexpr double kResumeTolerance = 0.15;
+constexpr double kMirrorTolerance = 0.15;  // downwards, where reflections were seen
+constexpr double kClearlyStronger = 0.25;  // than any rival
+constexpr int kModelTrusted = 100;         // accepted observations
 
 constexpr int kHitsToAcquire = 5;
 constexpr int kHitsToReacquire = 3;
@@ -121,6 +125,7 @@ struct Track {
   double travelledPixels = 0;
   double logFlux = 0;   // of the last frame
   double residual = 0;  // brightness against the model, smoothed over accepted frames
+  TimePoint accepted;   // last frame in which it was the lamp
   int besideLamp = 0;   // frames in which the lamp was elsewhere at the same time
   bool reflection = false;
   int candidate = -1;  // in this frame
@@ -159,8 +164,11 @@ struct LampTracker::State {
   void associate(const std::vector<Candidate>& candidates, TimePoint time);
   Track* find(int id);
   void forgetLamp();
-  // Why this candidate, on this track, cannot be accepted as the lamp; empty if it can.
+  // Why a lamp could not be measured where this candidate is; empty if it could.
+  std::string badPlace(const Candidate& candidate) const;
+  // Why this candidate, on this track, does not look like the lamp; empty if it does.
   std::string objection(const Track& track, const Candidate& candidate, double smearPixels) const;
+  bool resumes(const Track& track, const Candidate& candidate);
   Track* acquire(const std::vector<Candidate>& candidates, std::string& reason);
   LampObservation observe(const Track& track, const Candidate& candidate,
                           const std::vector<Candidate>& all, const FrameMetadata& metadata,
@@ -317,8 +325,7 @@ void LampTracker::State::associate(const std::vector<Candidate>& candidates, Tim
   }
 }
 
-std::string LampTracker::State::objection(const Track& track, const Candidate& candidate,
-                                          double smearPixels) const {
+std::string LampTracker::State::badPlace(const Candidate& candidate) const {
   const Blob& blob = candidate.blob;
   if (blob.staticFraction > 0.02) return "in front of a light of the room";
   if (blob.cut) return "cut by the border of the picture";
@@ -329,6 +336,12 @@ std::string LampTracker::State::objection(const Track& track, const Candidate& c
     return "at the rim of the field of view";
   }
   if (blob.crowded) return "touching another bright spot";
+  return {};
+}
+
+std::string LampTracker::State::objection(const Track& track, const Candidate& candidate,
+                                          double smearPixels) const {
+  const Blob& blob = candidate.blob;
   if (candidate.roundness < kRoundness && smearPixels < 0.5 * std::sqrt(blob.moments.trace())) {
     return "partly covered";
   }
@@ -349,6 +362,17 @@ std::string LampTracker::State::objection(const Track& track, const Candidate& c
   return {};
 }
 
+// A hand that starts or turns quickly leaves its track's gate. A spot that is as bright as the lamp
+// was a moment ago, and near, goes on without proof.
+bool LampTracker::State::resumes(const Track& track, const Candidate& candidate) {
+  const Track* last = find(lamp);
+  return last != nullptr && toSeconds(track.time - last->time) < kResumeSeconds &&
+         angleBetween(last->direction, candidate.direction) < kResumeAngle.radians() &&
+         std::abs(residualOf(candidate) - last->residual) < kResumeTolerance &&
+         std::abs(candidate.logHalo - halo.predict(candidate.direction)) < kResumeTolerance &&
+         !nearMirror(candidate.blob.pixel);
+}
+
 // A track that may be the lamp, when there is none.
 Track* LampTracker::State::acquire(const std::vector<Candidate>& candidates, std::string& reason) {
   Track* best = nullptr;
@@ -367,7 +391,8 @@ Track* LampTracker::State::acquire(const std::vector<Candidate>& candidates, std
   }
   if (best == nullptr) return nullptr;
   const Candidate& candidate = candidates[static_cast<std::size_t>(best->candidate)];
-  const std::string against = objection(*best, candidate, 0);
+  std::string against = badPlace(candidate);
+  if (against.empty()) against = objection(*best, candidate, 0);
   brighterThanEver = against == "brighter than the lamp" ? brighterThanEver + 1 : 0;
   // Where reflections were seen before, only full brightness for a while is proof.
   const bool mirror = nearMirror(candidate.blob.pixel) &&
@@ -381,8 +406,9 @@ Track* LampTracker::State::acquire(const std::vector<Candidate>& candidates, std
     reason = against;
     // Neither a reflection of the lamp nor, since it roams, a light of the room.
     if (brighterThanEver > 25 && best->travelled > Angle::degrees(5).radians()) forgetLamp();
-  } else if (best->proven < (flux.count() > 0 ? kHitsToReacquire : kHitsToAcquire) ||
-             best->travelledPixels < kHandTremorPixels) {
+  } else if (!resumes(*best, candidate) &&
+             (best->proven < (flux.count() > 0 ? kHitsToReacquire : kHitsToAcquire) ||
+              best->travelledPixels < kHandTremorPixels)) {
     reason = "not yet sure of the lamp";
   } else {
     return best;
@@ -444,13 +470,19 @@ TrackResult LampTracker::State::judge(const std::vector<Candidate>& candidates,
   }
   const Candidate& candidate = candidates[static_cast<std::size_t>(track->candidate)];
 
+  if (std::string against = badPlace(candidate); !against.empty()) {
+    // A short passage leaves the track its standing: its brightness must fit when it comes out.
+    if (toSeconds(metadata.midExposure - track->accepted) > kPassageSeconds)
+      lamp = track->proven = 0;
+    return none(TrackState::kLost, std::move(against));
+  }
+
   const double pixelsPerRadian =
       1 / std::max(1e-9, directionPerPixel(candidate.blob.pixel).norm() / std::sqrt(2.0));
   const double smear = track->velocity.norm() * metadata.exposureSeconds * pixelsPerRadian;
   if (std::string against = objection(*track, candidate, smear); !against.empty()) {
     // From here on it has to prove itself anew.
-    lamp = 0;
-    track->proven = 0;
+    lamp = track->proven = 0;
     return none(TrackState::kLost, std::move(against));
   }
 
@@ -486,6 +518,7 @@ TrackResult LampTracker::State::judge(const std::vector<Candidate>& candidates,
   }
 
   const LampObservation seen = observe(*track, candidate, candidates, metadata, smear);
+  track->accepted = metadata.midExposure;
   track->residual += 0.3 * (residualOf(candidate) - track->residual);
   flux.add(candidate.direction, candidate.logFlux);
   halo.add(candidate.direction, candidate.logHalo);

@@ -10,6 +10,8 @@ namespace {
 
 TimePoint at(double seconds) { return TimePoint(fromSeconds(seconds)); }
 
+TrackResult seen(LampObservation lamp) { return {TrackState::kTracking, lamp, {}}; }
+
 LampObservation seenAt(double seconds, double azimuth) {
   LampObservation seen;
   seen.time = at(seconds);
@@ -24,8 +26,8 @@ LampObservation seenAt(double seconds, double azimuth) {
 
 TEST(ObservationHistory, InterpolatesALampOnAGreatCircleExactly) {
   ObservationHistory history;
-  history.add(at(1.0), seenAt(1.0, 0.1));
-  history.add(at(1.1), seenAt(1.1, 0.2));
+  history.add(at(1.0), seen(seenAt(1.0, 0.1)));
+  history.add(at(1.1), seen(seenAt(1.1, 0.2)));
   const auto paired = history.at(at(1.03), Duration(0), 0.15);
   ASSERT_TRUE(paired);
   const Eigen::Vector3d expected(std::cos(0.13), std::sin(0.13), 0);
@@ -37,10 +39,25 @@ TEST(ObservationHistory, InterpolatesALampOnAGreatCircleExactly) {
   EXPECT_NEAR(paired->lamp.confidence, 0.8, 1e-9);
 }
 
+TEST(ObservationHistory, FollowsALampThatSpeedsUp) {
+  // 8 rad/s^2 along a great circle. A straight line between frames 1/12 s apart is off by
+  // a t^2 / 8 = 7e-3; the parabola through three is exact but for the circle's curvature.
+  const auto azimuth = [](double t) { return 0.2 + 4 * t * t; };
+  ObservationHistory history;
+  for (int i = 0; i < 3; ++i)
+    history.add(at(1 + i / 12.0), seen(seenAt(1 + i / 12.0, azimuth(i / 12.0))));
+  const double t = 1.5 / 12;
+  const auto paired = history.at(at(1 + t), Duration(0), 0.15);
+  ASSERT_TRUE(paired);
+  const Eigen::Vector3d expected(std::cos(azimuth(t)), std::sin(azimuth(t)), 0);
+  EXPECT_LT((paired->lamp.directionInSource - expected).norm(), 1e-3);
+  EXPECT_GT(paired->lamp.directionCovariance.trace(), 5e-6);
+}
+
 TEST(ObservationHistory, ClockUncertaintySmearsAlongThePath) {
   ObservationHistory history;
-  history.add(at(1.0), seenAt(1.0, 0.1));
-  history.add(at(1.1), seenAt(1.1, 0.2));
+  history.add(at(1.0), seen(seenAt(1.0, 0.1)));
+  history.add(at(1.1), seen(seenAt(1.1, 0.2)));
   const auto paired = history.at(at(1.05), fromSeconds(0.01), 0.15);
   ASSERT_TRUE(paired);
   // 1 rad/s for 0.01 s, along y' (tangent in the plane), and the observations' own 1e-3.
@@ -52,10 +69,11 @@ TEST(ObservationHistory, ClockUncertaintySmearsAlongThePath) {
 TEST(ObservationHistory, NeedsTheLampOnBothSidesAndClose) {
   ObservationHistory history;
   EXPECT_EQ(history.at(at(1), Duration(0), 0.15).error(), PairingFailure::kUnpaired);
-  history.add(at(1.0), seenAt(1.0, 0.1));
-  history.add(at(1.1), std::nullopt);
-  history.add(at(1.4), seenAt(1.4, 0.2));
-  history.add(at(1.5), seenAt(1.5, 0.2));
+  history.add(at(1.0), seen(seenAt(1.0, 0.1)));
+  history.add(at(1.1), {TrackState::kLost, std::nullopt, "covered"});
+  EXPECT_EQ(history.trouble(), "covered");
+  history.add(at(1.4), seen(seenAt(1.4, 0.2)));
+  history.add(at(1.5), seen(seenAt(1.5, 0.2)));
   EXPECT_EQ(history.at(at(0.9), Duration(0), 0.15).error(), PairingFailure::kUnpaired);
   EXPECT_EQ(history.at(at(1.05), Duration(0), 0.15).error(), PairingFailure::kLampNotSeen);
   EXPECT_EQ(history.at(at(1.2), Duration(0), 0.15).error(), PairingFailure::kUnpaired);

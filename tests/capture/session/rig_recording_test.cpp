@@ -10,6 +10,7 @@
 #include <cmath>
 #include <cstdio>
 #include <cstdlib>
+#include <map>
 #include <string>
 #include <vector>
 
@@ -62,11 +63,13 @@ TEST(RigRecording, DirectionsAreTrueAndNoReflectionIsEverAccepted) {
   options.sceneBlackLevel = sceneBlackLevelCounts(options.sceneFormat);
   std::vector<double> tracked;
   int hiddenButSeen = 0;
+  std::map<std::string, int> troubles;
   TimePoint last{};
   SilentProgress progress;
   const auto summary = record(
       **scene, **source, (*rig)->calibratedSourceModel(), (*rig)->geometry(), folder, options,
       progress, {}, [&](const RecorderState& state) {
+        if (!state.lampTrouble.empty()) ++troubles[state.lampTrouble];
         if (!state.lamp || state.lamp->time == last) return;
         last = state.lamp->time;
         const double t = toSeconds(last - (*rig)->startTime());
@@ -85,29 +88,43 @@ TEST(RigRecording, DirectionsAreTrueAndNoReflectionIsEverAccepted) {
 
   const auto sketch = Sketch::open(folder);
   ASSERT_TRUE(sketch) << sketch.error().message;
-  std::vector<double> recorded, atSubject;
+  std::vector<double> recorded, atSubject, late;
   for (const FrameRecord& frame : sketch->frames()) {
     const TimePoint time = summary->timeZero + fromSeconds(frame.midExposureSeconds);
     const LampTruth truth = (*rig)->truthAt(toSeconds(time - (*rig)->startTime()));
     const auto direction = (*rig)->calibratedSourceModel()->unproject(frame.lampPixels.at(0).pixel);
     ASSERT_TRUE(direction);
     recorded.push_back(degreesBetween(*direction, truth.directionInSource));
+    // Along the lamp's path: how much of the error is a matter of time.
+    const double t = toSeconds(time - (*rig)->startTime());
+    const Eigen::Vector3d speed = ((*rig)->truthAt(t + 0.01).directionInSource -
+                                   (*rig)->truthAt(t - 0.01).directionInSource) /
+                                  0.02;
+    late.push_back((*direction - truth.directionInSource).dot(speed) / speed.squaredNorm());
     atSubject.push_back(degreesBetween(frame.light.direction, truth.lampInScene));
   }
   fs::remove_all(folder);
   print("tracked, at the source camera", tracked);
   print("recorded frames, at the source camera", recorded);
   print("recorded frames, at the subject", atSubject);
+  std::printf("time of the recorded directions: median %.1f ms late\n",
+              1e3 * percentile(late, 0.5));
+  for (const auto& [reason, count] : troubles) {
+    std::printf("lamp not tracked: %s: %d\n", reason.c_str(), count);
+  }
   std::printf("directions a second: %.2f\n", summary->recorded / summary->seconds);
 
   ASSERT_GT(tracked.size(), 50u);
   EXPECT_GT(summary->recorded, 20);
-  for (const auto& errors : {tracked, recorded}) {
-    EXPECT_LE(percentile(errors, 0.5), 0.15);
-    EXPECT_LE(percentile(errors, 0.95), 0.5);
-    // A reflection or a light of the room is many degrees away; the lamp's own disc is two wide.
-    EXPECT_LT(percentile(errors, 1), 3);
-  }
+  EXPECT_LE(percentile(tracked, 0.5), 0.15);
+  EXPECT_LE(percentile(tracked, 0.95), 0.5);
+  // Between source frames: the hand trembles by 0.11 degrees rms per axis at 9.5 Hz, which 12
+  // frames a second cannot follow, and turns at up to 450 degrees a second squared.
+  EXPECT_LE(percentile(recorded, 0.5), 0.25);
+  EXPECT_LE(percentile(recorded, 0.95), 0.6);
+  // A reflection or a light of the room is many degrees away; the lamp's own disc is two wide.
+  EXPECT_LT(percentile(tracked, 1), 1.5);
+  EXPECT_LT(percentile(recorded, 1), 3);
   EXPECT_EQ(hiddenButSeen, 0);
 }
 
