@@ -62,7 +62,12 @@ double Coverage::fraction() const {
   return static_cast<double>(capturedCount_) / static_cast<double>(grid_.size());
 }
 
-void Coverage::postpone(int cell) { ++postponed_[static_cast<std::size_t>(cell)]; }
+void Coverage::postpone(int cell) {
+  postponed_[static_cast<std::size_t>(cell)] += 1;
+  for (const int n : neighbours_[static_cast<std::size_t>(cell)]) {
+    postponed_[static_cast<std::size_t>(n)] += 0.25;
+  }
+}
 
 std::optional<int> Coverage::next(const Eigen::Vector3d& here, const Eigen::Vector3d& heading,
                                   std::span<const int> skip) const {

@@ -30,14 +30,15 @@ class Coverage {
   std::optional<int> next(const Eigen::Vector3d& here,
                           const Eigen::Vector3d& heading = Eigen::Vector3d::Zero(),
                           std::span<const int> skip = {}) const;
-  // The lamp was held there in vain (behind a lamp of the room, out of reach): others first.
+  // The lamp was held there in vain (before a lamp of the room, out of reach): others first, and
+  // the neighbours a little later, too.
   void postpone(int cell);
 
  private:
   LightGrid grid_;
   std::vector<std::vector<int>> neighbours_;
   std::vector<int> captured_;
-  std::vector<int> postponed_;
+  std::vector<double> postponed_;
   int capturedCount_ = 0;
 };
 

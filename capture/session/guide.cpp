@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <chrono>
 #include <cmath>
+#include <limits>
 
 namespace lightsketch {
 namespace {
@@ -18,6 +19,7 @@ constexpr double kLeadPerMiss = 0.85;  // shorter by this factor
 constexpr double kMissedAfterSeconds = 0.8;
 // In vain: longer than it takes to get there unhurriedly and to try for a while.
 constexpr double kPatienceSeconds = 1.5;
+constexpr double kUnseenSeconds = 0.7;
 constexpr double kUnhurried = Angle::degrees(20).radians();  // a second
 constexpr std::chrono::milliseconds kBetweenWrites{100};
 
@@ -44,10 +46,25 @@ void GuidePlan::choose(const Coverage& coverage, double seconds, const Vector3d&
 }
 
 void GuidePlan::updateUnseen(const Coverage& coverage, double seconds) {
-  update(coverage, seconds, lastSeen_, Vector3d::Zero());
+  if (!unseenSince_) unseenSince_ = seconds;
+  if (target_ && seconds - *unseenSince_ > kUnseenSeconds) {
+    // Where it is wanted it cannot be seen. Once: it may also have been put away.
+    unseenSince_ = std::numeric_limits<double>::infinity();
+    failed_.push_back(*target_);
+    passing_.push_back({*target_, seconds + kMissedAfterSeconds});
+    choose(coverage, seconds, lastSeen_, Vector3d::Zero());
+    return;
+  }
+  follow(coverage, seconds, lastSeen_, Vector3d::Zero());
 }
 
 void GuidePlan::update(const Coverage& coverage, double seconds, const Vector3d& lamp,
+                       const Vector3d& velocity) {
+  unseenSince_.reset();
+  follow(coverage, seconds, lamp, velocity);
+}
+
+void GuidePlan::follow(const Coverage& coverage, double seconds, const Vector3d& lamp,
                        const Vector3d& velocity) {
   lastSeen_ = lamp;
   std::erase_if(passing_, [&](const Passing& p) {

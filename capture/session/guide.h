@@ -37,10 +37,13 @@ class GuidePlan {
     int cell;
     double until;  // then it counts as missed and may be aimed for again
   };
+  void follow(const Coverage& coverage, double seconds, const Eigen::Vector3d& lamp,
+              const Eigen::Vector3d& velocity);
   void choose(const Coverage& coverage, double seconds, const Eigen::Vector3d& from,
               const Eigen::Vector3d& heading);
   std::optional<int> target_;
   double leadSeconds_;
+  std::optional<double> unseenSince_;
   double targetSince_ = 0;
   double allowedSeconds_ = 0;
   Eigen::Vector3d lastSeen_ = Eigen::Vector3d::UnitZ();
