@@ -248,13 +248,13 @@ TEST_F(CommandLine, RefusesNonsenseInALightFile) {
   std::string text = slurp(path("set") / "set.lp");
   const auto damage = [&](const std::string& changed) { std::ofstream(path("set") / "set.lp") << changed; };
   damage("many\n" + text);
-  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp:1");
+  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp: line 1");
   std::string broken = text;
   broken.replace(broken.find("002.png") + 8, 3, "abc");
   damage(broken);
-  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp:4");
+  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp: line 4");
   damage(text.substr(0, text.find("002.png") + 10));  // truncated in the middle of a line
-  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp:4");
+  expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp: line 4");
 }
 
 TEST_F(CommandLine, RefusesDamagedSketches) {
@@ -305,7 +305,7 @@ TEST_F(CommandLine, AFullDiskLeavesNothingHalfMade) {
   // Files may not grow beyond this, which is what a full disk does to a writer.
   expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "s", 1500);
   importSet("set", "sketch");
-  expectRefusal({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}, "m.lsd", 20'000);
+  expectRefusal({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}, "make room", 20'000);
   ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
   expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.png")}, "a.png", 500);
   expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.exr")}, "a.exr", 500);
