@@ -101,7 +101,7 @@ Result<JobResult> infoJob(const std::filesystem::path& file);
 // The whole job on the simulated rig: record, compress, relight, validate.
 struct DemoJob {
   std::filesystem::path out;
-  int directions = 300;
+  int directions = 280;
   SimulatedRigOptions rig;
 };
 Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_token stop);
