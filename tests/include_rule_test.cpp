@@ -14,12 +14,24 @@ namespace fs = std::filesystem;
 
 // Each folder's rank: it may include folders of a lower rank and itself, never its neighbours.
 const std::map<std::string, int> kRank = {
-    {"capture/frame", 0},         {"calibration/model", 1},    {"pipeline/sketch", 2},
-    {"capture/device", 3},        {"capture/tracker", 3},      {"calibration/lens", 3},
-    {"calibration/radiometry", 3}, {"pipeline/hdr", 3},        {"pipeline/illumination", 3},
-    {"capture/rig", 4},           {"capture/session", 4},      {"pipeline/compress", 4},
-    {"pipeline/relight", 5},      {"pipeline/panorama", 5},    {"pipeline/validate", 6},
-    {"pipeline/job", 7},          {"ui/cli", 8},               {"ui/app", 8},
+    {"capture/frame", 0},
+    {"calibration/model", 1},
+    {"pipeline/sketch", 2},
+    {"capture/device", 3},
+    {"capture/tracker", 3},
+    {"calibration/lens", 3},
+    {"calibration/radiometry", 3},
+    {"pipeline/hdr", 3},
+    {"pipeline/illumination", 3},
+    {"capture/rig", 4},
+    {"capture/session", 4},
+    {"pipeline/compress", 4},
+    {"pipeline/relight", 5},
+    {"pipeline/panorama", 5},
+    {"pipeline/validate", 6},
+    {"pipeline/job", 7},
+    {"ui/cli", 8},
+    {"ui/app", 8},
 };
 
 std::string folderOf(const std::string& file) {
@@ -32,9 +44,11 @@ std::string folderOf(const std::string& file) {
 std::string problemOf(const std::string& includingFile, const std::string& included) {
   const std::string from = folderOf(includingFile);
   const std::string to = folderOf(included);
-  if (!kRank.contains(from)) return includingFile + ": lies in a folder that the rule does not know";
+  if (!kRank.contains(from))
+    return includingFile + ": lies in a folder that the rule does not know";
   static const std::regex qt(R"(^(Q[A-Za-z]+|Qt[A-Za-z]+/.*)$)");
-  if (std::regex_match(included, qt)) return from == "ui/app" ? "" : includingFile + ": Qt outside ui/app";
+  if (std::regex_match(included, qt))
+    return from == "ui/app" ? "" : includingFile + ": Qt outside ui/app";
   if (!kRank.contains(to)) return "";  // a library's header
   if (to == from || kRank.at(to) < kRank.at(from)) return "";
   return includingFile + ": may not include " + included;

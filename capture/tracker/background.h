@@ -35,8 +35,10 @@ class Background {
   bool isStaticLight(int x, int y) const {
     return level_(x, y) > kFullScale * 4 / 5 || flicker_(x, y) != 0;
   }
-  // Moves an eighth of the rows towards the frame, by at most 1/255 of the full scale, outside the
-  // regions given: daylight is followed within minutes, a resting lamp is not learnt.
+  // Moves an eighth of the rows towards the frame, outside the regions given: down by at most 1/255
+  // of the full scale, up by an eighth of that. What the lamp throws on walls and ceiling comes and
+  // goes; were it learnt as fast as it is forgotten, the lamp would look dimmer wherever it had
+  // been.
   void adapt(const Image<std::uint16_t>& counts, const std::vector<Region>& except);
 
  private:

@@ -57,8 +57,8 @@ Result<JobResult> listCamerasJob() {
   JobResult result;
   result.figures["cameras"] = Json::array();
   for (const CameraInfo& camera : cameras) {
-    result.text += fmt::format("{}{:<24} {} {} ({})", result.text.empty() ? "" : "\n", camera.address,
-                               camera.vendor, camera.model, camera.serial);
+    result.text += fmt::format("{}{:<24} {} {} ({})", result.text.empty() ? "" : "\n",
+                               camera.address, camera.vendor, camera.model, camera.serial);
     result.figures["cameras"].push_back({{"address", camera.address},
                                          {"vendor", camera.vendor},
                                          {"model", camera.model},
@@ -66,7 +66,8 @@ Result<JobResult> listCamerasJob() {
   }
   if (cameras.empty()) {
     result.text =
-        "no camera found; a GigE Vision camera must be in this computer's network, and `lightsketch "
+        "no camera found; a GigE Vision camera must be in this computer's network, and "
+        "`lightsketch "
         "rig` runs a simulated pair";
   }
   return result;
@@ -84,7 +85,8 @@ Result<JobResult> rigJob(const RigJob& job, const std::function<void(const std::
     const auto geometry = job.calibrationFolder / "rig.json";
     RETURN_IF_ERROR(saveCameraModel(*rig->calibratedSourceModel(), model));
     RETURN_IF_ERROR(saveRigGeometry(rig->geometry(), geometry));
-    where += fmt::format("\ncamera model   {}\nrig            {}", model.string(), geometry.string());
+    where +=
+        fmt::format("\ncamera model   {}\nrig            {}", model.string(), geometry.string());
   }
   onReady(where);
   while (!stop.stop_requested()) std::this_thread::sleep_for(std::chrono::milliseconds(100));
@@ -93,7 +95,8 @@ Result<JobResult> rigJob(const RigJob& job, const std::function<void(const std::
 }
 
 Result<RecorderSummary> recordOnRig(const RecordJob& job, const SimulatedRigOptions& options,
-                                    const SimulatedRig& rig, Progress& progress, std::stop_token stop,
+                                    const SimulatedRig& rig, Progress& progress,
+                                    std::stop_token stop,
                                     const std::function<void(const RecorderState&)>& onState) {
   RecordJob onRig = job;
   onRig.sceneCamera = "aravis:" + options.sceneAddress;
@@ -107,8 +110,9 @@ Result<RecorderSummary> recordOnRig(const RecordJob& job, const SimulatedRigOpti
 Result<JobResult> recordJob(const RecordJob& job, Progress& progress, std::stop_token stop,
                             const std::function<void(const RecorderState&)>& onState) {
   if (job.sceneCamera.empty() != job.sourceCamera.empty()) {
-    return failure(ErrorCode::kInvalidArgument,
-                   "record: name both cameras, --scene and --source, or neither for the simulated rig");
+    return failure(
+        ErrorCode::kInvalidArgument,
+        "record: name both cameras, --scene and --source, or neither for the simulated rig");
   }
   if (job.sceneCamera.empty()) {
     progress.warn("no camera named: recording the simulated rig");

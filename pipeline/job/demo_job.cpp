@@ -20,7 +20,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// The recorder keeps one frame a cell, so single frames held out have no near twin among the others.
+// The recorder keeps one frame a cell, so single frames held out have no near twin among the
+// others.
 constexpr const char* kHoldOut = "every:8:4";
 
 // How well the recorded lamp directions agree with the rig's truth, seen from the source camera.
@@ -40,10 +41,9 @@ Result<DirectionErrors> compareWithTruth(const Sketch& sketch, const SimulatedRi
     const auto seen = model->unproject(frame.lampPixels.front().pixel);
     if (!seen) continue;
     const LampTruth truth = rig.truthAt(offset + frame.midExposureSeconds);
-    degrees.push_back(
-        Angle::radians(std::atan2(seen->cross(truth.directionInSource).norm(),
-                                  seen->dot(truth.directionInSource)))
-            .degrees());
+    degrees.push_back(Angle::radians(std::atan2(seen->cross(truth.directionInSource).norm(),
+                                                seen->dot(truth.directionInSource)))
+                          .degrees());
   }
   if (degrees.empty()) return failure(ErrorCode::kInvalidArgument, "demo: no frame was recorded");
   std::sort(degrees.begin(), degrees.end());
@@ -79,8 +79,8 @@ Image<std::uint8_t> montage(const std::vector<std::vector<Image<std::uint8_t>>>&
 // The 99.5th percentile of the picture's values becomes nearly white.
 float exposureFor(const RadianceImage& picture) {
   std::vector<float> values(picture.values().begin(), picture.values().end());
-  const auto nth = values.begin() + static_cast<std::ptrdiff_t>(
-                                        0.995 * static_cast<double>(values.size() - 1));
+  const auto nth =
+      values.begin() + static_cast<std::ptrdiff_t>(0.995 * static_cast<double>(values.size() - 1));
   std::nth_element(values.begin(), nth, values.end());
   return 0.95f / std::max(*nth, 1e-6f);
 }
@@ -108,7 +108,8 @@ Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_toke
   // Compress, without the frames that are held out to measure with.
   CompressOptions options;
   options.holdOutRule = kHoldOut;
-  options.blockRank = 24;  // sharp shadows and a mirror ball: the paper's 10 and 200 show in the dark
+  options.blockRank =
+      24;  // sharp shadows and a mirror ball: the paper's 10 and 200 show in the dark
   options.rank = 400;
   ASSIGN_OR_RETURN(const auto compressed, compress(sketch, options, progress));
   const RelightableModel& model = compressed.model;
@@ -123,7 +124,8 @@ Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_toke
   for (std::size_t i = 0; i < lamps.size(); ++i) {
     DirectionalLamp lamp;
     lamp.direction = lamps[i].normalized();
-    ASSIGN_OR_RETURN(const auto picture, relight(model, intensitiesOf(std::span(&lamp, 1), interpolator)));
+    ASSIGN_OR_RETURN(const auto picture,
+                     relight(model, intensitiesOf(std::span(&lamp, 1), interpolator)));
     if (i == 0) exposure = exposureFor(picture);
     firstRow.push_back(toSrgb8(picture, exposure));
     RETURN_IF_ERROR(writePng(out / fmt::format("light-{}.png", i + 1), firstRow.back()));
@@ -146,24 +148,27 @@ Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_toke
   ASSIGN_OR_RETURN(const auto truth, heldOut.read(0));
   DirectionalLamp lamp;
   lamp.direction = heldOut.directions().front();
-  ASSIGN_OR_RETURN(const auto relit, relight(model, intensitiesOf(std::span(&lamp, 1), interpolator)));
+  ASSIGN_OR_RETURN(const auto relit,
+                   relight(model, intensitiesOf(std::span(&lamp, 1), interpolator)));
   const float shared = exposureFor(truth);
-  RETURN_IF_ERROR(writePng(out / "demo.png", montage({firstRow,
-                                                      {skyPicture, toSrgb8(truth, shared),
-                                                       toSrgb8(relit, shared)}})));
+  RETURN_IF_ERROR(
+      writePng(out / "demo.png",
+               montage({firstRow, {skyPicture, toSrgb8(truth, shared), toSrgb8(relit, shared)}})));
 
   const double seconds = toSeconds(Clock::now() - begin);
   const auto& summary = recorded;
   JobResult result;
-  result.figures = Json{
-      {"recorded", summary.recorded},
-      {"coverage", summary.coverage},
-      {"recordingSeconds", summary.seconds},
-      {"packetsReceived", summary.scene.packetsReceived + summary.source.packetsReceived},
-      {"directionErrorDegrees",
-       {{"median", directions.medianDegrees}, {"p95", directions.p95Degrees}, {"max", directions.maxDegrees}}},
-      {"validation", toJson(report)},
-      {"seconds", seconds}};
+  result.figures =
+      Json{{"recorded", summary.recorded},
+           {"coverage", summary.coverage},
+           {"recordingSeconds", summary.seconds},
+           {"packetsReceived", summary.scene.packetsReceived + summary.source.packetsReceived},
+           {"directionErrorDegrees",
+            {{"median", directions.medianDegrees},
+             {"p95", directions.p95Degrees},
+             {"max", directions.maxDegrees}}},
+           {"validation", toJson(report)},
+           {"seconds", seconds}};
   RETURN_IF_ERROR(writeJsonFile(out / "demo.json", result.figures));
   RETURN_IF_ERROR(folder.commit());
 
@@ -172,24 +177,26 @@ Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_toke
   };
   result.text =
       "\nlightsketch demo\n" +
-      line("directions recorded", fmt::format("{} in {:.0f} s", summary.recorded, summary.seconds)) +
+      line("directions recorded",
+           fmt::format("{} in {:.0f} s", summary.recorded, summary.seconds)) +
       line("grid covered", fmt::format("{:.1f} % of {}", 100 * summary.coverage, job.directions)) +
-      line("frames over GVSP", fmt::format("{} scene, {} source ({} packets)", summary.scene.delivered,
-                                           summary.source.delivered,
-                                           summary.scene.packetsReceived +
-                                               summary.source.packetsReceived)) +
+      line("frames over GVSP",
+           fmt::format("{} scene, {} source ({} packets)", summary.scene.delivered,
+                       summary.source.delivered,
+                       summary.scene.packetsReceived + summary.source.packetsReceived)) +
       line("lamp direction error",
            fmt::format("median {:.3f}, 95 % {:.3f}, worst {:.3f} degrees (rig's truth)",
                        directions.medianDegrees, directions.p95Degrees, directions.maxDegrees)) +
-      line("model", fmt::format("{:.1f} MB, {:.0f}:1 against half-float frames",
-                                static_cast<double>(report.size->bytes) / 1e6,
-                                report.size->ratioToHalf)) +
+      line("model",
+           fmt::format("{:.1f} MB, {:.0f}:1 against half-float frames",
+                       static_cast<double>(report.size->bytes) / 1e6, report.size->ratioToHalf)) +
       line("held-out frames", fmt::format("{}: {:.1f} dB PSNR, {:.3f} SSIM", report.all.count,
                                           report.all.psnr, report.all.ssim.value_or(0))) +
       line("whole demo", fmt::format("{:.0f} s", seconds)) + "\n" +
       line("pictures", (job.out / "demo.png").string()) +
       line("report", (job.out / "report" / "index.html").string()) +
-      line("model", (job.out / "model.lsd").string()) + line("sketch", (job.out / "sketch").string());
+      line("model", (job.out / "model.lsd").string()) +
+      line("sketch", (job.out / "sketch").string());
   result.text.pop_back();
   return result;
 }

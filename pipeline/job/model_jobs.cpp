@@ -11,8 +11,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// The hold-out where none is asked for. Free-hand sets of many frames hold near twins, so whole cells
-// are kept back; the recorder keeps one frame a cell, and small sets have none to spare.
+// The hold-out where none is asked for. Free-hand sets of many frames hold near twins, so whole
+// cells are kept back; the recorder keeps one frame a cell, and small sets have none to spare.
 std::string defaultHoldOut(const Sketch& sketch) {
   constexpr std::size_t kManyFrames = 200;
   const bool freeHand = sketch.manifest().directions == 0;
@@ -88,8 +88,9 @@ Result<JobResult> validateJob(const ValidateJob& job, Progress& progress) {
     cleanUp();
     return tl::unexpected<Error>(written.error());
   }
-  return JobResult{fmt::format("{}\nreport: {}", report->describe(), (job.report / "index.html").string()),
-                   toJson(*report)};
+  return JobResult{
+      fmt::format("{}\nreport: {}", report->describe(), (job.report / "index.html").string()),
+      toJson(*report)};
 }
 
 }  // namespace lightsketch

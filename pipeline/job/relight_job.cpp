@@ -36,17 +36,16 @@ Result<void> savePicture(const RadianceImage& picture, const std::filesystem::pa
 Result<JobResult> relightJob(const RelightJob& job) {
   const std::string extension = job.out.extension().string();
   if (extension != ".exr" && extension != ".png") {
-    return failure(ErrorCode::kInvalidArgument, "{}: the picture must be .exr (linear) or .png (sRGB)",
-                   job.out.string());
+    return failure(ErrorCode::kInvalidArgument,
+                   "{}: the picture must be .exr (linear) or .png (sRGB)", job.out.string());
   }
   ASSIGN_OR_RETURN(const auto model, loadModel(job.model));
   ASSIGN_OR_RETURN(const auto intensities, intensitiesFor(job, model));
   ASSIGN_OR_RETURN(const auto picture, relight(model, intensities));
   RETURN_IF_ERROR(savePicture(picture, job.out, job.exposure));
-  return JobResult{fmt::format("{}: {} x {}", job.out.string(), picture.width(), picture.height()),
-                   {{"out", job.out.string()},
-                    {"width", picture.width()},
-                    {"height", picture.height()}}};
+  return JobResult{
+      fmt::format("{}: {} x {}", job.out.string(), picture.width(), picture.height()),
+      {{"out", job.out.string()}, {"width", picture.width()}, {"height", picture.height()}}};
 }
 
 }  // namespace lightsketch

@@ -53,9 +53,10 @@ Result<JobResult> describeCamera(const fs::path& file) {
   JobResult result;
   result.figures = cameraModelToJson(*model);
   result.figures["kind"] = "camera model";
-  result.text = fmt::format("{}: camera model\n  model  {}\n  image  {} x {}\n  field  {:.1f} degrees off axis",
-                            file.string(), model->modelName(), model->width(), model->height(),
-                            model->maxFieldAngle().degrees());
+  result.text = fmt::format(
+      "{}: camera model\n  model  {}\n  image  {} x {}\n  field  {:.1f} degrees off axis",
+      file.string(), model->modelName(), model->width(), model->height(),
+      model->maxFieldAngle().degrees());
   return result;
 }
 

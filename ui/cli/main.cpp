@@ -73,7 +73,8 @@ std::function<void(const std::string&)> rankInto(int& target) {
       used = 0;
     }
     if (used != text.size() || text.empty() || value < 1) {
-      throw CLI::ValidationError("expected a whole number of at least 1, or 'full', not '" + text + "'");
+      throw CLI::ValidationError("expected a whole number of at least 1, or 'full', not '" + text +
+                                 "'");
     }
     target = value;
   };
@@ -94,8 +95,10 @@ void addCompressOptions(CLI::App& command, CompressOptions& options) {
   command.add_option_function<std::string>(
       "--densify",
       [&options](const std::string& text) {
-        if (text == "auto") options.densify = CompressOptions::kDensifyAuto;
-        else if (text == "off") options.densify = CompressOptions::kDensifyOff;
+        if (text == "auto")
+          options.densify = CompressOptions::kDensifyAuto;
+        else if (text == "off")
+          options.densify = CompressOptions::kDensifyOff;
         else {
           int value = 0;
           try {
@@ -108,7 +111,8 @@ void addCompressOptions(CLI::App& command, CompressOptions& options) {
           options.densify = value;
         }
       },
-      "interpolate sparse captures to this many directions before factoring: auto, off or a number");
+      "interpolate sparse captures to this many directions before factoring: auto, off or a "
+      "number");
 }
 
 Eigen::Vector3d parseDirection(const std::string& text) {
@@ -116,23 +120,28 @@ Eigen::Vector3d parseDirection(const std::string& text) {
   int used = 0;
   if (std::sscanf(text.c_str(), "%lf,%lf,%lf%n", &v.x(), &v.y(), &v.z(), &used) != 3 ||
       static_cast<std::size_t>(used) != text.size() || !v.allFinite() || v.norm() < 1e-9) {
-    throw CLI::ValidationError("--light: expected X,Y,Z with at least one not 0, not '" + text + "'");
+    throw CLI::ValidationError("--light: expected X,Y,Z with at least one not 0, not '" + text +
+                               "'");
   }
   return v.normalized();
 }
 
 void addRigOptions(CLI::App& command, SimulatedRigOptions& rig) {
-  command.add_option("--scene-address", rig.sceneAddress, "loopback address of the rig's scene camera")
+  command
+      .add_option("--scene-address", rig.sceneAddress, "loopback address of the rig's scene camera")
       ->capture_default_str();
-  command.add_option("--source-address", rig.sourceAddress,
-                     "loopback address of the rig's source camera")
+  command
+      .add_option("--source-address", rig.sourceAddress,
+                  "loopback address of the rig's source camera")
       ->capture_default_str();
-  command.add_option("--seed", rig.seed, "seed of the simulated hand and noise")->capture_default_str();
+  command.add_option("--seed", rig.seed, "seed of the simulated hand and noise")
+      ->capture_default_str();
   command.add_option("--packet-loss", rig.packetLoss, "fraction of packets that the rig loses")
       ->check(CLI::Range(0.0, 0.5))
       ->capture_default_str();
-  command.add_option("--prerendered", rig.prerenderedFrames,
-                     "serve this many frames rendered beforehand instead of tracing live")
+  command
+      .add_option("--prerendered", rig.prerenderedFrames,
+                  "serve this many frames rendered beforehand instead of tracing live")
       ->check(CLI::Range(0, 10'000))
       ->capture_default_str();
 }
@@ -175,7 +184,8 @@ struct Commands {
     auto* command =
         add(app, "rig", "run the simulated rig until stopped; prints its two addresses",
             "lightsketch rig --calibration rig &\n  lightsketch record --scene aravis:127.0.0.11 "
-            "--source aravis:127.0.0.12 --camera-model rig/source.json --rig rig/rig.json --out sketch");
+            "--source aravis:127.0.0.12 --camera-model rig/source.json --rig rig/rig.json --out "
+            "sketch");
     addRigOptions(*command, rig_.rig);
     command->add_option("--rate", rig_.rig.framesPerSecond, "frames a second")
         ->check(CLI::Range(1.0, 120.0))
@@ -196,12 +206,13 @@ struct Commands {
   }
 
   void addRecord(CLI::App& app) {
-    auto* command = add(
-        app, "record",
-        "record a sketch: track the lamp, keep a frame for every new light direction. With no camera "
-        "named, the simulated rig is recorded. An existing sketch is gone on with.",
-        "lightsketch record --scene aravis:192.168.1.20 --source aravis:192.168.1.21 "
-        "--camera-model source.json --directions 300 --out vase");
+    auto* command =
+        add(app, "record",
+            "record a sketch: track the lamp, keep a frame for every new light direction. With no "
+            "camera "
+            "named, the simulated rig is recorded. An existing sketch is gone on with.",
+            "lightsketch record --scene aravis:192.168.1.20 --source aravis:192.168.1.21 "
+            "--camera-model source.json --directions 300 --out vase");
     command->add_option("--scene", record_.sceneCamera, "scene camera, e.g. aravis:192.168.1.20");
     command->add_option("--source", record_.sourceCamera, "fisheye source camera");
     command->add_option("--camera-model", record_.cameraModel, "calibration of the source camera");
@@ -212,7 +223,8 @@ struct Commands {
         ->check(CLI::Range(64, 10'000))
         ->capture_default_str();
     command->add_flag("--sphere", recorder.fullSphere, "cover the sphere, not the hemisphere");
-    command->add_option("--coverage", recorder.coverageGoal, "stop at this fraction of the directions")
+    command
+        ->add_option("--coverage", recorder.coverageGoal, "stop at this fraction of the directions")
         ->check(CLI::Range(0.01, 1.0))
         ->capture_default_str();
     command->add_option("--time-limit", recorder.timeLimitSeconds, "stop after this many seconds")
@@ -221,7 +233,8 @@ struct Commands {
         ->check(CLI::PositiveNumber)
         ->capture_default_str();
     command->add_option("--gain", recorder.sceneGainDb, "scene camera, dB")->capture_default_str();
-    command->add_option("--source-exposure", recorder.sourceExposureSeconds, "source camera, seconds")
+    command
+        ->add_option("--source-exposure", recorder.sourceExposureSeconds, "source camera, seconds")
         ->check(CLI::PositiveNumber)
         ->capture_default_str();
     command->add_option("--black-level", recorder.sceneBlackLevel, "scene camera's zero, in counts")
@@ -230,8 +243,9 @@ struct Commands {
     command->add_option("--rate", recorder.framesPerSecond, "frames a second")
         ->check(CLI::Range(0.1, 1000.0))
         ->capture_default_str();
-    command->add_option("--ambient-seconds", recorder.ambientSeconds,
-                        "at the start, with the lamp off: take the ambient frame")
+    command
+        ->add_option("--ambient-seconds", recorder.ambientSeconds,
+                     "at the start, with the lamp off: take the ambient frame")
         ->check(CLI::NonNegativeNumber)
         ->capture_default_str();
     command->add_flag("!--keep-ambient", recorder.subtractAmbient,
@@ -240,27 +254,31 @@ struct Commands {
     command->callback([this] {
       action = [this](ProgressBar& bar, const std::stop_token& stop) {
         return recordJob(record_, bar, stop, [&bar](const RecorderState& state) {
-          if (state.lampWantedOff) bar.setNote("lamp OFF: ambient frame");
-          else if (state.lastRefusal != Refusal::kNone) bar.setNote(describe(state.lastRefusal));
-          else bar.setNote("");
+          if (state.lampWantedOff)
+            bar.setNote("lamp OFF: ambient frame");
+          else if (state.lastRefusal != Refusal::kNone)
+            bar.setNote(describe(state.lastRefusal));
+          else
+            bar.setNote("");
         });
       };
     });
   }
 
   void addImport(CLI::App& app) {
-    auto* command =
-        add(app, "import", "turn a multi-light set (.lp or DiLiGenT files, with images) into a sketch",
-            "lightsketch import coin/ --out coin.sketch");
+    auto* command = add(app, "import",
+                        "turn a multi-light set (.lp or DiLiGenT files, with images) into a sketch",
+                        "lightsketch import coin/ --out coin.sketch");
     command->add_option("folder", import_.folder, "images and their light file")->required();
     command->add_option("--lp", import_.lp, "light file, if not the one in the folder");
     command->add_option("--light-intensities", import_.intensities,
                         "the lamp's strength per image: a line each, one or three numbers");
     static const std::map<std::string, TransferFunction> kTransfer = {
         {"srgb", TransferFunction::kSrgb}, {"linear", TransferFunction::kLinear}};
-    command->add_option("--transfer", import_.transfer,
-                        "how integer pixels are encoded: srgb or linear (default: linear in DiLiGenT "
-                        "folders, else srgb)")
+    command
+        ->add_option("--transfer", import_.transfer,
+                     "how integer pixels are encoded: srgb or linear (default: linear in DiLiGenT "
+                     "folders, else srgb)")
         ->transform(CLI::CheckedTransformer(kTransfer));
     command->add_option("--out", import_.out, "the sketch, a folder")->required();
     command->callback([this] {
@@ -272,14 +290,18 @@ struct Commands {
     auto* command = add(app, "export", "write a sketch for other programs",
                         "lightsketch export vase --format lp --out vase-lp");
     command->add_option("sketch", export_.sketch, "the sketch")->required();
-    command->add_option("--format", export_.format, "lp: images and a .lp file, as RTI programs read them")
+    command
+        ->add_option("--format", export_.format,
+                     "lp: images and a .lp file, as RTI programs read them")
         ->check(CLI::IsMember({"lp"}))
         ->capture_default_str();
     static const std::map<std::string, ExportLpOptions::Format> kImages = {
         {"png16", ExportLpOptions::Format::kPng16},
         {"png8", ExportLpOptions::Format::kPng8},
         {"exr", ExportLpOptions::Format::kExr}};
-    command->add_option("--images", export_.lp.format, "png16, png8 (sRGB) or exr (linear); default png16")
+    command
+        ->add_option("--images", export_.lp.format,
+                     "png16, png8 (sRGB) or exr (linear); default png16")
         ->transform(CLI::CheckedTransformer(kImages));
     command->add_option("--out", export_.out, "a new folder")->required();
     command->callback([this] {
@@ -296,7 +318,9 @@ struct Commands {
                         "frames kept back to measure with: every:8:4, cells:8:4 or list:FILE");
     addCompressOptions(*command, compress_.options);
     command->callback([this] {
-      action = [this](ProgressBar& bar, const std::stop_token&) { return compressJob(compress_, bar); };
+      action = [this](ProgressBar& bar, const std::stop_token&) {
+        return compressJob(compress_, bar);
+      };
     });
   }
 
@@ -318,12 +342,14 @@ struct Commands {
         ->allow_extra_args(false)
         ->take_all();
     command->add_option("--lights", relight_.lightsFile, "lamps with directions and colours, JSON");
-    command->add_option("--environment", relight_.environment, "lat-long environment map, HDR or EXR");
+    command->add_option("--environment", relight_.environment,
+                        "lat-long environment map, HDR or EXR");
     command->add_option("--rotate", relight_.environmentOptions.rotationDegrees,
                         "turn the environment about the vertical, degrees");
-    command->add_option("--lamp-irradiance", relight_.environmentOptions.lampIrradiance,
-                        "irradiance of the captured lamp in the map's units (default pi: a white "
-                        "matte surface under the lamp has radiance 1)")
+    command
+        ->add_option("--lamp-irradiance", relight_.environmentOptions.lampIrradiance,
+                     "irradiance of the captured lamp in the map's units (default pi: a white "
+                     "matte surface under the lamp has radiance 1)")
         ->check(CLI::PositiveNumber);
     command->add_option("--exposure", relight_.exposure, "factor for a PNG")
         ->check(CLI::PositiveNumber)
@@ -340,9 +366,8 @@ struct Commands {
   }
 
   void addValidate(CLI::App& app) {
-    auto* command =
-        add(app, "validate", "measure a model against captures that it has not seen",
-            "lightsketch validate vase --hold-out cells:8:4 --report vase-report");
+    auto* command = add(app, "validate", "measure a model against captures that it has not seen",
+                        "lightsketch validate vase --hold-out cells:8:4 --report vase-report");
     command->add_option("sketch", validate_.sketch, "the sketch")->required();
     command->add_option("--hold-out", validate_.holdOutRule,
                         "frames to measure on: every:8:4 (index modulo 8 is 4), cells:8:4 (whole "
@@ -354,7 +379,9 @@ struct Commands {
     command->add_option("--report", validate_.report, "folder for the report")->required();
     addCompressOptions(*command, validate_.compress);
     command->callback([this] {
-      action = [this](ProgressBar& bar, const std::stop_token&) { return validateJob(validate_, bar); };
+      action = [this](ProgressBar& bar, const std::stop_token&) {
+        return validateJob(validate_, bar);
+      };
     });
   }
 
@@ -368,14 +395,17 @@ struct Commands {
   }
 
   void addDemo(CLI::App& app) {
-    auto* command = add(app, "demo", "the whole job on the simulated rig", "lightsketch demo --out demo");
+    auto* command =
+        add(app, "demo", "the whole job on the simulated rig", "lightsketch demo --out demo");
     command->add_option("--out", demo_.out, "a new folder")->required();
     command->add_option("--directions", demo_.directions, "light directions to cover")
         ->check(CLI::Range(64, 10'000))
         ->capture_default_str();
     addRigOptions(*command, demo_.rig);
     command->callback([this] {
-      action = [this](ProgressBar& bar, const std::stop_token& stop) { return demoJob(demo_, bar, stop); };
+      action = [this](ProgressBar& bar, const std::stop_token& stop) {
+        return demoJob(demo_, bar, stop);
+      };
     });
   }
 
@@ -397,7 +427,8 @@ int fail(const std::string& message) {
 
 int run(int argc, char** argv) {
   CLI::App app(
-      "Wave a lamp around a scene for a few minutes; get a picture that can be lit by anything, with "
+      "Wave a lamp around a scene for a few minutes; get a picture that can be lit by anything, "
+      "with "
       "its error measured.\n\nThe usual way: record (or import), compress, relight, validate. "
       "`lightsketch COMMAND --help` explains each.",
       "lightsketch");

@@ -53,10 +53,12 @@ void ProgressBar::update(std::string_view stage, std::size_t done, std::size_t t
   const auto filled = static_cast<std::size_t>(fraction * kWidth);
   const double elapsed = secondsSince(stageStart_);
   const std::string left =
-      fraction > 0.02 ? fmt::format(", {} left", clockText(elapsed * (1 - fraction) / fraction)) : "";
+      fraction > 0.02 ? fmt::format(", {} left", clockText(elapsed * (1 - fraction) / fraction))
+                      : "";
   clearLine();
   fmt::print(stderr, "{:<22} [{}{}] {}/{}{}{}{}", stage_, std::string(filled, '#'),
-             std::string(kWidth - filled, '.'), done, total, left, note_.empty() ? "" : "  ", note_);
+             std::string(kWidth - filled, '.'), done, total, left, note_.empty() ? "" : "  ",
+             note_);
   std::fflush(stderr);
   lineDrawn_ = true;
 }

@@ -1,4 +1,5 @@
-// The command line's progress: one line that is rewritten on a terminal, a line per stage elsewhere.
+// The command line's progress: one line that is rewritten on a terminal, a line per stage
+// elsewhere.
 #pragma once
 
 #include <atomic>

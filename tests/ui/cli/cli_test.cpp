@@ -58,7 +58,8 @@ class CommandLine : public ::testing::Test {
   fs::path path(const std::string& name) const { return folder_ / name; }
 
   // Runs the program; `fileSizeLimit` in bytes makes larger writes fail as on a full disk.
-  Outcome run(const std::vector<std::string>& arguments, rlim_t fileSizeLimit = RLIM_INFINITY) const {
+  Outcome run(const std::vector<std::string>& arguments,
+              rlim_t fileSizeLimit = RLIM_INFINITY) const {
     const fs::path out = fs::temp_directory_path() / (folder_.filename().string() + ".out");
     const fs::path error = fs::temp_directory_path() / (folder_.filename().string() + ".err");
     const pid_t child = ::fork();
@@ -113,7 +114,8 @@ class CommandLine : public ::testing::Test {
           const Eigen::Vector3d normal =
               Eigen::Vector3d(0.4 * std::sin(0.7 * x), 0.4 * std::cos(0.5 * y), 1).normalized();
           const double shading = std::max(0.0, normal.dot(light));
-          for (int c = 0; c < 3; ++c) image(x, y, c) = static_cast<float>(shading * (0.9 - 0.2 * c));
+          for (int c = 0; c < 3; ++c)
+            image(x, y, c) = static_cast<float>(shading * (0.9 - 0.2 * c));
         }
       }
       const std::string file = fmt::format("{:03}.png", i);
@@ -141,16 +143,19 @@ TEST_F(CommandLine, TakesASetFromImportToReport) {
   ASSERT_EQ(compressed.exitCode, 0) << compressed.error;
   ASSERT_EQ(run({"info", path("m.lsd")}).exitCode, 0);
 
-  const auto relit = run({"relight", path("m.lsd"), "--light", "0.3,0.2,0.9", "--out", path("a.png")});
+  const auto relit =
+      run({"relight", path("m.lsd"), "--light", "0.3,0.2,0.9", "--out", path("a.png")});
   ASSERT_EQ(relit.exitCode, 0) << relit.error;
-  ASSERT_EQ(run({"relight", path("m.lsd"), "--light", "0,0,1", "--light=-1,0,1", "--out", path("b.exr")})
-                .exitCode,
-            0);
+  ASSERT_EQ(
+      run({"relight", path("m.lsd"), "--light", "0,0,1", "--light=-1,0,1", "--out", path("b.exr")})
+          .exitCode,
+      0);
   RadianceImage sky(64, 32, 3, 1.0f);
   ASSERT_TRUE(writeExr(path("sky.exr"), sky));
-  ASSERT_EQ(run({"relight", path("m.lsd"), "--environment", path("sky.exr"), "--out", path("c.exr")})
-                .exitCode,
-            0);
+  ASSERT_EQ(
+      run({"relight", path("m.lsd"), "--environment", path("sky.exr"), "--out", path("c.exr")})
+          .exitCode,
+      0);
 
   // The relit picture is the analytic one: light (0.3, 0.2, 0.9) on the same bumps.
   const auto picture = readImage(path("a.png"));
@@ -161,7 +166,8 @@ TEST_F(CommandLine, TakesASetFromImportToReport) {
     for (int x = 0; x < 40; ++x) {
       const Eigen::Vector3d normal =
           Eigen::Vector3d(0.4 * std::sin(0.7 * x), 0.4 * std::cos(0.5 * y), 1).normalized();
-      const double expected = srgbEncode(static_cast<float>(0.9 * std::max(0.0, normal.dot(light))));
+      const double expected =
+          srgbEncode(static_cast<float>(0.9 * std::max(0.0, normal.dot(light))));
       squared += std::pow(srgbEncode((*picture)(x, y, 0)) - expected, 2);
     }
   }
@@ -214,7 +220,8 @@ TEST_F(CommandLine, RefusesWhatIsNotThere) {
   expectRefusal({"info", path("none")}, "none");
   expectRefusal({"import", path("none"), "--out", path("s"), "--quiet"}, "none");
   expectRefusal({"compress", path("none"), "--out", path("m.lsd"), "--quiet"}, "none");
-  expectRefusal({"relight", path("none.lsd"), "--light", "0,0,1", "--out", path("a.png")}, "none.lsd");
+  expectRefusal({"relight", path("none.lsd"), "--light", "0,0,1", "--out", path("a.png")},
+                "none.lsd");
   expectRefusal({"validate", path("none"), "--report", path("r"), "--quiet"}, "none");
   expectRefusal({"export", path("none"), "--out", path("e"), "--quiet"}, "none");
 }
@@ -233,7 +240,8 @@ TEST_F(CommandLine, RefusesAnUnknownCamera) {
   expectRefusal({"record", "--scene", "aravis:127.0.0.99", "--source", "aravis:127.0.0.98",
                  "--camera-model", path("camera.json"), "--out", path("s"), "--quiet"},
                 "127.0.0.99");
-  expectRefusal({"record", "--scene", "aravis:127.0.0.99", "--out", path("s"), "--quiet"}, "--source");
+  expectRefusal({"record", "--scene", "aravis:127.0.0.99", "--out", path("s"), "--quiet"},
+                "--source");
 }
 
 TEST_F(CommandLine, RefusesZeroCaptures) {
@@ -246,7 +254,9 @@ TEST_F(CommandLine, RefusesZeroCaptures) {
 TEST_F(CommandLine, RefusesNonsenseInALightFile) {
   writeSet("set", 64);
   std::string text = slurp(path("set") / "set.lp");
-  const auto damage = [&](const std::string& changed) { std::ofstream(path("set") / "set.lp") << changed; };
+  const auto damage = [&](const std::string& changed) {
+    std::ofstream(path("set") / "set.lp") << changed;
+  };
   damage("many\n" + text);
   expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "set.lp: line 1");
   std::string broken = text;
@@ -290,7 +300,8 @@ TEST_F(CommandLine, RefusesDamagedModels) {
   importSet("set", "sketch");
   ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
   const std::string whole = slurp(path("m.lsd"));
-  for (const std::size_t length : {std::size_t{0}, std::size_t{100}, whole.size() / 2, whole.size() - 1}) {
+  for (const std::size_t length :
+       {std::size_t{0}, std::size_t{100}, whole.size() / 2, whole.size() - 1}) {
     std::ofstream(path("m.lsd"), std::ios::binary) << whole.substr(0, length);
     expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.png")}, "m.lsd");
   }
@@ -305,10 +316,13 @@ TEST_F(CommandLine, AFullDiskLeavesNothingHalfMade) {
   // Files may not grow beyond this, which is what a full disk does to a writer.
   expectRefusal({"import", path("set"), "--out", path("s"), "--quiet"}, "s", 1500);
   importSet("set", "sketch");
-  expectRefusal({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}, "make room", 20'000);
+  expectRefusal({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}, "make room",
+                20'000);
   ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
-  expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.png")}, "a.png", 500);
-  expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.exr")}, "a.exr", 500);
+  expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.png")}, "a.png",
+                500);
+  expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.exr")}, "a.exr",
+                500);
 }
 
 TEST_F(CommandLine, RefusesBadRelightingInput) {
@@ -316,8 +330,9 @@ TEST_F(CommandLine, RefusesBadRelightingInput) {
   ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
   expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("a.gif")}, "a.gif");
   expectRefusal({"relight", path("m.lsd"), "--light", "0,0,1", "--out", path("no/a.png")}, "a.png");
-  expectRefusal({"relight", path("m.lsd"), "--environment", path("none.hdr"), "--out", path("a.png")},
-                "none.hdr");
+  expectRefusal(
+      {"relight", path("m.lsd"), "--environment", path("none.hdr"), "--out", path("a.png")},
+      "none.hdr");
   std::ofstream(path("lights.json")) << "{\"format\": \"lightsketch-lights\"";
   expectRefusal({"relight", path("m.lsd"), "--lights", path("lights.json"), "--out", path("a.png")},
                 "lights.json");
