@@ -8,8 +8,8 @@
 #include <random>
 #include <vector>
 
+#include "capture/frame/vectorise.h"
 #include "capture/rig/noise.h"
-#include "capture/rig/vectorise.h"
 
 namespace lightsketch {
 namespace {

@@ -10,8 +10,8 @@
 #include <numbers>
 #include <optional>
 
+#include "capture/frame/vectorise.h"
 #include "capture/rig/noise.h"
-#include "capture/rig/vectorise.h"
 
 namespace lightsketch {
 namespace {

@@ -6,14 +6,7 @@
 #include <algorithm>
 #include <vector>
 
-// The inner loops exist once per vector width and the loader picks at run time. Sanitizers cannot
-// run the loader's choice, so they get the plain version.
-#if defined(__x86_64__) && !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
-#define LIGHTSKETCH_VECTORISED \
-  __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
-#else
-#define LIGHTSKETCH_VECTORISED
-#endif
+#include "capture/frame/vectorise.h"
 
 namespace lightsketch {
 namespace {
