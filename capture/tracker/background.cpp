@@ -10,7 +10,8 @@ namespace {
 
 constexpr std::size_t kLearningFrames = 16;
 constexpr int kAdaptInterleave = 8;
-constexpr int kAdaptStep = 16;
+constexpr int kAdaptDown = 16;
+constexpr int kAdaptUp = 2;
 
 }  // namespace
 
@@ -109,7 +110,7 @@ void Background::adapt(const Image<std::uint16_t>& counts, const std::vector<Reg
     const std::uint16_t* now = counts.row(y).data();
     const auto advance = [&](int from, int to) {
       for (int x = from; x < to; ++x) {
-        const int step = std::clamp((now[x] - level[x]) / 4, -kAdaptStep, kAdaptStep);
+        const int step = std::clamp((now[x] - level[x]) / 4, -kAdaptDown, kAdaptUp);
         level[x] = static_cast<std::uint16_t>(level[x] + step);
       }
     };

@@ -85,7 +85,7 @@ int surroundings(const Image<std::uint16_t>& counts, const Image<std::uint16_t>&
   }
   const auto middle = border.begin() + static_cast<std::ptrdiff_t>(border.size() / 2);
   std::nth_element(border.begin(), middle, border.end());
-  return std::clamp(*middle, 0, kFullScale / 2);
+  return std::clamp(*middle, -kFullScale / 2, kFullScale / 2);
 }
 
 // Mean excess from 2.5 to 6 pixels outside the ellipse that the core fills.
@@ -103,7 +103,7 @@ double haloLevel(const Blob& blob, int base, const Image<std::uint16_t>& counts,
       if (outside < 2.5 || outside > 6) continue;
       const double turn = (std::atan2(d.y(), d.x()) + M_PI) / (2 * M_PI);
       const auto side = static_cast<std::size_t>(8 * turn) % 8;
-      sum[side] += excess(counts(x, y), background.level()(x, y) + base);
+      sum[side] += counts(x, y) - background.level()(x, y) - base;
       count[side] += 1;
     }
   }

@@ -330,9 +330,10 @@ std::string LampTracker::State::badPlace(const Candidate& candidate) const {
   if (blob.staticFraction > 0.02) return "in front of a light of the room";
   if (blob.cut) return "cut by the border of the picture";
   // The rim of the lens' valid field cuts the spot as well.
-  const Vector2d outward = blob.pixel - Vector2d(model->width() / 2.0, model->height() / 2.0);
-  const double reach = 1.5 * std::sqrt(blob.moments.trace());  // a disc's radius is 1.41 of it
-  if (!model->unproject(blob.pixel + reach * outward.normalized())) {
+  const Vector2d outward =
+      (blob.pixel - Vector2d(model->width() / 2.0, model->height() / 2.0)).normalized();
+  const double reach = 1.5 * std::sqrt(outward.dot(blob.moments * outward));  // a disc's edge: 2
+  if (!model->unproject(blob.pixel + reach * outward)) {
     return "at the rim of the field of view";
   }
   if (blob.crowded) return "touching another bright spot";
