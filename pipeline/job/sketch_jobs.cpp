@@ -67,13 +67,17 @@ Result<JobResult> describePicture(const fs::path& file) {
       {{"kind", "picture"}, {"width", picture.width()}, {"height", picture.height()}}};
 }
 
-// Name and value lines of an object whose values are plain.
+// Name and value lines of an object whose values are plain; lists of objects a line each.
 std::string listFields(const Json& object) {
   std::string text;
   for (const auto& [name, value] : object.items()) {
-    if (value.is_object() || value.is_null()) continue;
-    text += fmt::format("\n  {:<22} {}", name,
-                        value.is_string() ? value.get<std::string>() : value.dump());
+    if (value.is_null() || value.empty()) continue;
+    if (value.is_array() && value.front().is_object()) {
+      for (const Json& element : value) text += fmt::format("\n  {:<18} {}", name, element.dump());
+    } else {
+      text += fmt::format("\n  {:<18} {}", name,
+                          value.is_string() ? value.get<std::string>() : value.dump());
+    }
   }
   return text;
 }
