@@ -12,7 +12,7 @@
 #include "pipeline/illumination/light_grid.h"
 #include "pipeline/sketch/import.h"
 #include "pipeline/sketch/light_stack.h"
-#include "test_sketch.h"
+#include "tests/pipeline/compress/test_sketch.h"
 
 namespace lightsketch {
 namespace {

@@ -4,7 +4,7 @@
 
 #include <fstream>
 
-#include "test_sketch.h"
+#include "tests/pipeline/compress/test_sketch.h"
 
 namespace lightsketch {
 namespace {

@@ -7,7 +7,7 @@
 #include <random>
 
 #include "capture/frame/file.h"
-#include "test_sketch.h"
+#include "tests/pipeline/compress/test_sketch.h"
 
 namespace lightsketch {
 namespace {

@@ -1,4 +1,4 @@
-#include "test_sketch.h"
+#include "tests/pipeline/compress/test_sketch.h"
 
 #include <gtest/gtest.h>
 
