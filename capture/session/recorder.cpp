@@ -13,6 +13,7 @@
 #include "capture/session/guide.h"
 #include "capture/session/pairing.h"
 #include "pipeline/hdr/linearise.h"
+#include "pipeline/sketch/image_file.h"
 
 namespace lightsketch {
 namespace {
@@ -69,7 +70,25 @@ class AmbientMean {
 struct WriteJob {
   std::optional<FrameRecord> record;  // none: the ambient light
   RadianceImage radiance;
+  std::optional<Frame> raw;
 };
+
+// The counts as they came, a mosaic as grey; two bytes a sample where the format has them.
+Result<void> writeRaw(const Frame& frame, const std::filesystem::path& path) {
+  const PixelFormatInfo& info = pixelFormatInfo(frame.format);
+  if (info.bits <= 8) {
+    Image<std::uint8_t> counts(frame.width, frame.height, info.channels);
+    std::copy(frame.bytes.begin(), frame.bytes.end(), counts.values().begin());
+    return writePng(path, counts);
+  }
+  Image<std::uint16_t> counts(frame.width, frame.height, info.channels);
+  for (int y = 0; y < frame.height; ++y) {
+    for (int x = 0; x < frame.width; ++x) {
+      counts(x, y) = static_cast<std::uint16_t>(frame.sample(x, y));
+    }
+  }
+  return writePng(path, counts);
+}
 
 // Stops the camera on every way out.
 struct Streaming {
@@ -291,6 +310,12 @@ void Recording::writeSketch() {
       if (auto status = sketch_.writeAmbient(job->radiance); !status) return fail(status.error());
       continue;
     }
+    // Before the journal says that the frame is there.
+    if (job->raw) {
+      const auto path =
+          sketch_.folder() / "frames" / fmt::format("{:06}.raw.png", sketch_.frames().size());
+      if (auto status = writeRaw(*job->raw, path); !status) return fail(status.error());
+    }
     auto id = sketch_.append(std::move(*job->record), job->radiance);
     if (!id) return fail(id.error());
     ++written_;
@@ -339,7 +364,7 @@ Result<void> Recording::takeAmbient(const Frame& frame) {
   }
   if (sketch_.manifest().ambientSubtracted) ambient_ = ambientMean_.mean();
   // One that is there already belongs to the frames of before.
-  if (!haveAmbientFile_) writeQueue_.push({std::nullopt, ambientMean_.mean()});
+  if (!haveAmbientFile_) writeQueue_.push({std::nullopt, ambientMean_.mean(), std::nullopt});
   ambientMean_ = {};
   state_.lampWantedOff = false;
   ambientPhase_ = false;
@@ -390,7 +415,8 @@ Result<Refusal> Recording::judge(const Frame& frame) {
                   {"lampConfidence", paired->lamp.confidence},
                   {"lampFlux", paired->lamp.flux}};
   // A disk that cannot keep up costs this frame, not the stream; its direction stays open.
-  if (writeQueue_.push({std::move(record), std::move(linear.radiance)})) {
+  if (writeQueue_.push({std::move(record), std::move(linear.radiance),
+                        options_.keepRaw ? std::optional(frame) : std::nullopt})) {
     coverage_.add(light.direction);
   }
   return Refusal::kNone;

@@ -47,6 +47,7 @@ struct RecorderOptions {
   // when the scene is at its darkest, and the tracker learns the lights of the room. 0: no such
   // phase.
   double ambientSeconds = 1.5;
+  bool keepRaw = false;         // the sensor's counts beside each frame, frames/000123.raw.png
   bool subtractAmbient = true;  // else kept beside the frames
   double sceneExposureSeconds = 0.02;
   double sourceExposureSeconds = 0.001;

@@ -9,6 +9,7 @@ data=${LIGHTSKETCH_DATA:-$root/../shared/data}
 usage() {
   cat <<'TEXT'
 ./run bench realrti     six RealRTI sets, every eighth light held out, full rank: PSNR per set and mean
+./run bench kill        a recording on the simulated rig, killed (kill -9) twenty times and gone on with
 ./run bench sets        DiLiGenT "cat" (16-bit, linear, light intensities) and 895 hand-held frames
 TEXT
 }
@@ -58,11 +59,47 @@ sets() {
   measure relief_handheld "$data/rti/relief_handheld" cells:8:4
 }
 
+# Kills `record` at random moments. What the journal had acknowledged at each kill must stand, byte for
+# byte, at the head of the final journal, and every frame must pass its checksum.
+kill_recording() {
+  local scene=127.0.9.11 source=127.0.9.12 round acknowledged
+  "$program" rig --scene-address $scene --source-address $source --calibration "$work/rig" \
+    >"$work/rig.log" 2>&1 &
+  rig=$!
+  until grep -q 'camera model' "$work/rig.log"; do
+    kill -0 $rig || { cat "$work/rig.log" >&2; exit 1; }
+    sleep 0.2
+  done
+  RANDOM=1
+  for round in $(seq 1 20); do
+    sleep 3.5 # until the cameras' heartbeat has freed them
+    "$program" record --scene aravis:$scene --source aravis:$source --camera-model "$work/rig/source.json" \
+      --rig "$work/rig/rig.json" --black-level 64 --ambient-seconds 0.5 --out "$work/sketch" \
+      >"$work/record.log" 2>&1 &
+    local record=$!
+    sleep $((4 + RANDOM % 4)).$((RANDOM % 10))
+    kill -9 $record 2>/dev/null || { echo "bench: record ended by itself:"; cat "$work/record.log"; exit 1; }
+    wait $record 2>/dev/null || true
+    # Whole lines only: a torn last one was never acknowledged.
+    acknowledged=$(tail -c1 "$work/sketch/frames.jsonl" | wc -l)
+    head -n "$(wc -l <"$work/sketch/frames.jsonl")" "$work/sketch/frames.jsonl" >"$work/journal.$round"
+    printf 'kill %2d: %3d frames acknowledged%s\n' "$round" \
+      "$(grep -c '"event":"frame"' "$work/journal.$round")" "$([ "$acknowledged" = 1 ] || echo ', a torn line')"
+  done
+  kill $rig
+  for round in $(seq 1 20); do
+    cmp -n "$(stat -c %s "$work/journal.$round")" "$work/journal.$round" "$work/sketch/frames.jsonl" ||
+      { echo "bench: what kill $round had acknowledged is gone" >&2; exit 1; }
+  done
+  "$program" export "$work/sketch" --images exr --out "$work/export" --quiet
+}
+
 case "${1:-}" in
-  realrti | sets)
+  realrti | sets | kill)
     work=$(mktemp -d "${TMPDIR:-/tmp}/lightsketch-bench.XXXXXX")
-    trap 'rm -rf "$work"' EXIT
-    "$1"
+    rig=
+    trap '[ -z "$rig" ] || kill $rig 2>/dev/null; rm -rf "$work"' EXIT
+    case $1 in kill) kill_recording ;; *) "$1" ;; esac
     ;;
   *) usage ;;
 esac

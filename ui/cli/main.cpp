@@ -248,6 +248,8 @@ struct Commands {
                      "at the start, with the lamp off: take the ambient frame")
         ->check(CLI::NonNegativeNumber)
         ->capture_default_str();
+    command->add_flag("--keep-raw", recorder.keepRaw,
+                      "keep the sensor's own counts beside each frame (frames/000123.raw.png)");
     command->add_flag("!--keep-ambient", recorder.subtractAmbient,
                       "keep the ambient light in the frames, and its picture beside them");
     addRigOptions(*command, record_.simulatedRig);

@@ -9,7 +9,8 @@
 #include <thread>
 
 #include "capture/session/bounded_queue.h"
-#include "fake_rig.h"
+#include "pipeline/sketch/image_file.h"
+#include "tests/capture/session/fake_rig.h"
 
 namespace lightsketch {
 namespace {
@@ -93,6 +94,24 @@ TEST_F(Recorder, CapturesTheWantedDirectionsWithTheirTrueLight) {
   }
   // Rounding alone gives 1/60/sqrt(12) = 0.005; the lamp's pixel is 0.8 degrees wide.
   EXPECT_LT(std::sqrt(squared / static_cast<double>(sketch->frames().size())), 0.01);
+}
+
+TEST_F(Recorder, KeepsTheRawCountsOnRequest) {
+  options_.keepRaw = true;
+  FakeRig rig(true);
+  ASSERT_TRUE(run(rig));
+  const auto sketch = Sketch::open(folder_);
+  ASSERT_TRUE(sketch);
+  ASSERT_FALSE(sketch->frames().empty());
+  for (const FrameRecord& frame : sketch->frames()) {
+    const auto raw = readImage(folder_ / "frames" / fmt::format("{:06}.raw.png", frame.id),
+                               TransferFunction::kLinear);
+    ASSERT_TRUE(raw) << raw.error().message;
+    const auto radiance = sketch->readFrame(frame.id);
+    ASSERT_TRUE(radiance);
+    // Half floats keep three digits.
+    EXPECT_NEAR((*raw)(3, 3, 0) - FakeRig::kAmbientCounts / 255, (*radiance)(3, 3, 0), 1e-3);
+  }
 }
 
 TEST_F(Recorder, GoesOnWhereItStopped) {
