@@ -449,6 +449,10 @@ Result<void> AravisCamera::setExposure(std::optional<double> seconds,
                      info_.address, *seconds, min * 1e-6, max * 1e-6);
     }
   }
+  // Not every camera has a gain; none is what 0 dB asks for.
+  if (gainDb && *gainDb == 0 && !arv_camera_is_gain_available(camera_.get(), error.out())) {
+    gainDb.reset();
+  }
   if (gainDb) {
     arv_camera_get_gain_bounds(camera_.get(), &min, &max, error.out());
     if (error) return failed("read the limits of the gain", error);
@@ -486,6 +490,8 @@ Result<void> AravisCamera::setExposure(std::optional<double> seconds,
 Result<void> AravisCamera::setFrameRate(double framesPerSecond) {
   GlibError error;
   double min = 0, max = 0;
+  // A camera without a rate of its own sends as fast as it exposes.
+  if (!arv_camera_is_frame_rate_available(camera_.get(), error.out())) return {};
   arv_camera_get_frame_rate_bounds(camera_.get(), &min, &max, error.out());
   if (error) return failed("read the limits of the frame rate", error);
   if (!(framesPerSecond >= min && framesPerSecond <= max)) {

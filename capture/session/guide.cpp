@@ -125,11 +125,12 @@ void GuideWriter::run(const std::stop_token& stop) {
       if (!changed_.wait(lock, stop, [&] { return wish_ && wish_ != written; })) return;
       wish = *wish_;
     }
-    if (auto status = write(wish); !status && !failed) {
-      failed = true;
+    if (auto status = write(wish)) {
+      written = wish;
+    } else if (!failed) {
+      failed = true;  // tried again below, but said once
       onFirstFailure_(status.error());
     }
-    written = wish;
     std::unique_lock lock(mutex_);
     changed_.wait_for(lock, stop, kBetweenWrites, [] { return false; });
   }

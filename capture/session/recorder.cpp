@@ -362,6 +362,12 @@ Result<void> Recording::takeAmbient(const Frame& frame) {
       seconds < kAmbientGivesUpSeconds + options_.ambientSeconds) {
     return {};
   }
+  if (seconds - ambientMean_.since() < options_.ambientSeconds) {
+    progress_.warn(
+        "the scene kept getting darker while the ambient light was measured; if frames look too "
+        "dark, "
+        "record again with the lamp off at the start");
+  }
   if (sketch_.manifest().ambientSubtracted) ambient_ = ambientMean_.mean();
   // One that is there already belongs to the frames of before.
   if (!haveAmbientFile_) writeQueue_.push({std::nullopt, ambientMean_.mean(), std::nullopt});
@@ -549,7 +555,7 @@ Result<void> keepModel(const std::filesystem::path& sketchFolder, const CameraMo
 }
 
 Result<Sketch> openToGoOn(const std::filesystem::path& folder, const RecorderOptions& options,
-                          int width, int height) {
+                          int width, int height, const RigGeometry& rig) {
   ASSIGN_OR_RETURN(auto sketch, Sketch::openForAppend(folder));
   const SketchManifest& m = sketch.manifest();
   if (m.width != width || m.height != height) {
@@ -565,6 +571,13 @@ Result<Sketch> openToGoOn(const std::filesystem::path& folder, const RecorderOpt
         "the same or another folder",
         folder.string(), m.directions, m.fullSphere ? "sphere" : "hemisphere", options.directions,
         options.fullSphere ? "sphere" : "hemisphere");
+  }
+  if (sketch.rig() && rigGeometryToJson(*sketch.rig()) != rigGeometryToJson(rig)) {
+    return failure(
+        ErrorCode::kInvalidArgument,
+        "{}: its rig.json places the cameras otherwise than they are placed now; use --rig "
+        "{} or record to another folder",
+        folder.string(), (folder / "rig.json").string());
   }
   return sketch;
 }
@@ -660,14 +673,14 @@ Result<RecorderSummary> record(Camera& sceneCamera, Camera& sourceCamera,
   manifest.directions = options.directions;
   manifest.fullSphere = options.fullSphere;
   manifest.ambientSubtracted = options.subtractAmbient && options.ambientSeconds > 0;
-  manifest.software = "lightsketch 0.1.0";
+  manifest.software = "lightsketch " LIGHTSKETCH_VERSION;
   manifest.cameras =
       Json::array({describe("scene", sceneCamera.info()), describe("source", sourceCamera.info())});
   manifest.provenance = {{"method", "recorded"},
                          {"referenceExposureSeconds", *scene.exposureSeconds},
                          {"referenceGainDb", scene.gainDb.value_or(0)},
                          {"demosaic", "Malvar, He and Cutler 2004"}};
-  auto opened = goOn ? openToGoOn(sketchFolder, options, manifest.width, manifest.height)
+  auto opened = goOn ? openToGoOn(sketchFolder, options, manifest.width, manifest.height, rig)
                      : Sketch::create(sketchFolder, manifest, rig);
   ASSIGN_OR_RETURN(Sketch sketch, std::move(opened));
   RETURN_IF_ERROR(keepModel(sketchFolder, *sourceModel));

@@ -31,7 +31,7 @@ namespace tbb = oneapi::tbb;
 using Eigen::MatrixXf;
 using Eigen::Vector3d;
 
-constexpr const char* kSoftware = "lightsketch 0.1.0";
+constexpr const char* kSoftware = "lightsketch " LIGHTSKETCH_VERSION;
 constexpr const char* kStage1 = "first stage";
 
 double secondsSince(TimePoint start) { return toSeconds(Clock::now() - start); }

@@ -88,10 +88,9 @@ class Writer {
     // Chunks of about 256 KiB of rows; shuffle and deflate gain 10 to 20 percent on half floats.
     hsize_t rowBytes = H5Tget_size(storedType);
     for (std::size_t k = 1; k < shape.size(); ++k) rowBytes *= shape[k];
-    Shape chunk = shape;
-    chunk[0] =
-        std::clamp<hsize_t>((hsize_t{1} << 18) / std::max<hsize_t>(rowBytes, 1), 1, shape[0]);
     if (*std::min_element(shape.begin(), shape.end()) > 0) {
+      Shape chunk = shape;
+      chunk[0] = std::clamp<hsize_t>((hsize_t{1} << 18) / rowBytes, 1, shape[0]);
       check(H5Pset_chunk(properties, static_cast<int>(chunk.size()), chunk.data()));
       check(H5Pset_shuffle(properties));
       check(H5Pset_deflate(properties, 1));
@@ -245,7 +244,8 @@ class Reader {
   Result<std::string> text(const char* name) {
     const Handle attribute(H5Aopen(file_, name, H5P_DEFAULT), H5Aclose);
     const Handle type(attribute ? H5Aget_type(attribute) : -1, H5Tclose);
-    if (!type || H5Tget_class(type) != H5T_STRING || H5Tis_variable_str(type) > 0) {
+    if (!type || !isScalar(attribute) || H5Tget_class(type) != H5T_STRING ||
+        H5Tis_variable_str(type) > 0) {
       return failure(ErrorCode::kCorrupt, "{}: text attribute {} is missing", where_, name);
     }
     std::string value(H5Tget_size(type), '\0');
@@ -258,9 +258,10 @@ class Reader {
 
   Result<int> integer(const char* name, std::int64_t min, std::int64_t max) {
     const Handle attribute(H5Aopen(file_, name, H5P_DEFAULT), H5Aclose);
+    const Handle type(attribute ? H5Aget_type(attribute) : -1, H5Tclose);
     std::int64_t value = 0;
-    if (!attribute || H5Aread(attribute, H5T_NATIVE_INT64, &value) < 0 || value < min ||
-        value > max) {
+    if (!type || !isScalar(attribute) || H5Tget_class(type) != H5T_INTEGER ||
+        H5Aread(attribute, H5T_NATIVE_INT64, &value) < 0 || value < min || value > max) {
       return failure(ErrorCode::kCorrupt, "{}: attribute {} is missing or not from {} to {}",
                      where_, name, min, max);
     }
@@ -268,6 +269,12 @@ class Reader {
   }
 
  private:
+  // One value, so that reading it fills one and no more.
+  static bool isScalar(hid_t attribute) {
+    const Handle space(H5Aget_space(attribute), H5Sclose);
+    return space && H5Sget_simple_extent_npoints(space) == 1;
+  }
+
   hid_t file_;
   std::string where_;
   std::uint64_t maxBytes_;

@@ -91,6 +91,15 @@ Result<LightIntensities> intensitiesOf(const RadianceImage& latLong,
                    "an environment map must be lat-long, twice as wide as high; this one is {}x{}",
                    latLong.width(), latLong.height());
   }
+  for (std::size_t i = 0; i < latLong.size(); ++i) {
+    if (!std::isfinite(latLong.data()[i])) {
+      return failure(
+          ErrorCode::kInvalidArgument,
+          "the environment map is not finite at pixel {}, {} (a sun beyond half floats?); "
+          "clip it first",
+          i % latLong.rowSize() / 3, i / latLong.rowSize());
+    }
+  }
   if (!(options.lampIrradiance > 0)) {
     return failure(ErrorCode::kInvalidArgument, "the lamp's irradiance must be positive, not {}",
                    options.lampIrradiance);

@@ -101,7 +101,6 @@ Result<RecorderSummary> recordOnRig(const RecordJob& job, const SimulatedRigOpti
   RecordJob onRig = job;
   onRig.sceneCamera = "aravis:" + options.sceneAddress;
   onRig.sourceCamera = "aravis:" + options.sourceAddress;
-  onRig.recorder.framesPerSecond = options.framesPerSecond;
   onRig.recorder.sceneBlackLevel = sceneBlackLevelCounts(job.recorder.sceneFormat);
   return recordFrom(onRig, rig.calibratedSourceModel(), rig.geometry(), progress, std::move(stop),
                     onState);

@@ -20,6 +20,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr const char* kFormat = "lightsketch-demo";
 // The recorder keeps one frame a cell, so single frames held out have no near twin among the
 // others.
 constexpr const char* kHoldOut = "every:8:4";
@@ -89,10 +90,14 @@ float exposureFor(const RadianceImage& picture) {
 
 Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_token stop) {
   const auto begin = Clock::now();
-  // A former demo may be replaced; anything else in the way is left alone.
+  // A former demo is replaced, but only once this one is whole; anything else is left alone.
   std::error_code error;
-  if (fs::exists(job.out / "demo.json", error)) fs::remove_all(job.out, error);
-  ASSIGN_OR_RETURN(auto folder, PendingFolder::create(job.out));
+  const auto former = fs::exists(job.out / "demo.json", error) ? readJsonFile(job.out / "demo.json")
+                                                               : Result<Json>(Json());
+  const bool replace = former && former->is_object() && former->value("format", "") == kFormat;
+  const fs::path target =
+      replace ? fs::path(fs::absolute(job.out).lexically_normal().string() + ".new") : job.out;
+  ASSIGN_OR_RETURN(auto folder, PendingFolder::create(target));
   const fs::path& out = folder.path();
 
   // Record on the rig.
@@ -171,6 +176,14 @@ Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_toke
            {"seconds", seconds}};
   RETURN_IF_ERROR(writeJsonFile(out / "demo.json", result.figures));
   RETURN_IF_ERROR(folder.commit());
+  if (replace) {
+    fs::remove_all(job.out, error);
+    fs::rename(target, job.out, error);
+    if (error) {
+      return failure(ErrorCode::kIo, "{}: cannot replace the former demo: {}; the new one is {}",
+                     job.out.string(), error.message(), target.string());
+    }
+  }
 
   const auto line = [](std::string_view what, const std::string& value) {
     return fmt::format("  {:<26} {}\n", what, value);

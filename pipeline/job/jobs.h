@@ -100,7 +100,7 @@ Result<JobResult> infoJob(const std::filesystem::path& file);
 
 // The whole job on the simulated rig: record, compress, relight, validate.
 struct DemoJob {
-  std::filesystem::path out;
+  std::filesystem::path out = "out";
   int directions = 280;
   SimulatedRigOptions rig;
 };

@@ -35,7 +35,6 @@ Result<JobResult> compressJob(const CompressJob& job, Progress& progress) {
   RETURN_IF_ERROR(requireParent(job.out));
   ASSIGN_OR_RETURN(const auto sketch, Sketch::open(job.sketch));
   ASSIGN_OR_RETURN(auto compressed, compress(sketch, job.options, progress));
-  compressed.model.software = kSoftware;
   RETURN_IF_ERROR(saveModel(compressed.model, job.out));
   std::error_code error;
   const auto bytes = fs::file_size(job.out, error);
@@ -71,7 +70,6 @@ Result<JobResult> validateJob(const ValidateJob& job, Progress& progress) {
     compressOptions.holdOutRule = options.holdOutRule;
     ASSIGN_OR_RETURN(auto compressed, compress(sketch, compressOptions, progress));
     model = std::move(compressed.model);
-    model.software = kSoftware;
     fs::create_directories(job.report, error);
     options.modelFile = job.report / "model.lsd";
     if (const auto saved = saveModel(model, options.modelFile); !saved) {

@@ -1,4 +1,3 @@
-#include "capture/frame/srgb.h"
 #include "pipeline/compress/model.h"
 #include "pipeline/job/jobs.h"
 #include "pipeline/relight/relighter.h"
@@ -24,14 +23,14 @@ Result<LightIntensities> intensitiesFor(const RelightJob& job, const Relightable
   return intensitiesOf(lamps, interpolator);
 }
 
-}  // namespace
-
 Result<void> savePicture(const RadianceImage& picture, const std::filesystem::path& path,
                          double exposure) {
   const std::string extension = path.extension().string();
   if (extension == ".exr") return writeExr(path, picture);
   return writePng(path, toSrgb8(picture, static_cast<float>(exposure)));
 }
+
+}  // namespace
 
 Result<JobResult> relightJob(const RelightJob& job) {
   const std::string extension = job.out.extension().string();

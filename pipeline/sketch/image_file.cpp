@@ -182,6 +182,10 @@ Result<RadianceImage> decodeWithOpenCv(const std::string& bytes, TransferFunctio
     return failure(ErrorCode::kCorrupt,
                    "{}: damaged or not an image (JPEG, PNG, TIFF, HDR and EXR are read)", where);
   }
+  if (mat.cols > kMaxSide || mat.rows > kMaxSide) {
+    return failure(ErrorCode::kUnsupported, "{}: {} x {} pixels are more than a camera makes",
+                   where, mat.cols, mat.rows);
+  }
   switch (mat.depth()) {
     case CV_8U: {
       const auto& table = decodingTableOnce<std::uint8_t>(transfer);

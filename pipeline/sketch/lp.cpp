@@ -255,7 +255,7 @@ Result<LightList> readLightList(const fs::path& folder, const std::optional<fs::
 
   if (intensities)
     list.intensities = *intensities;
-  else if (list.diligent && isFile(folder / "light_intensities.txt"))
+  else if (isFile(folder / "light_intensities.txt"))
     list.intensities = folder / "light_intensities.txt";
   std::vector<Row> table;
   if (!list.intensities.empty()) {

@@ -381,8 +381,13 @@ Result<std::size_t> replayJournal(std::string_view text, const fs::path& path, R
 
 // Left behind by a writer that was stopped: a temporary file or an image that no line speaks of.
 void removeLeftovers(const fs::path& folder, const std::vector<FrameRecord>& frames) {
+  // By number: a frame's raw counts stand beside it, "000123.raw.png".
+  const auto number = [](const fs::path& file) {
+    const std::string name = file.filename().string();
+    return name.substr(0, name.find('.'));
+  };
   std::set<std::string> recorded;
-  for (const auto& record : frames) recorded.insert(fs::path(record.file).filename().string());
+  for (const auto& record : frames) recorded.insert(number(record.file));
   std::error_code error;
   std::vector<fs::path> leftovers;
   for (const auto& directory : {folder, folder / kFramesFolder}) {
@@ -390,8 +395,8 @@ void removeLeftovers(const fs::path& folder, const std::vector<FrameRecord>& fra
          entry.increment(error)) {
       const std::string name = entry->path().filename().string();
       const bool partial = name.starts_with(".") && name.find(".partial") != name.npos;
-      const bool orphan =
-          directory != folder && entry->path().extension() == ".exr" && !recorded.contains(name);
+      const bool ours = name.ends_with(".exr") || name.ends_with(".raw.png");
+      const bool orphan = directory != folder && ours && !recorded.contains(number(name));
       if (partial || orphan) leftovers.push_back(entry->path());
     }
   }

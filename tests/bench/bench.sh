@@ -101,5 +101,9 @@ case "${1:-}" in
     trap '[ -z "$rig" ] || kill $rig 2>/dev/null; rm -rf "$work"' EXIT
     case $1 in kill) kill_recording ;; *) "$1" ;; esac
     ;;
-  *) usage ;;
+  '') usage ;;
+  *)
+    usage >&2
+    exit 2
+    ;;
 esac

@@ -4,6 +4,7 @@
 
 #include <CLI/CLI.hpp>
 #include <atomic>
+#include <charconv>
 #include <csignal>
 #include <cstdio>
 #include <functional>
@@ -101,11 +102,9 @@ void addCompressOptions(CLI::App& command, CompressOptions& options) {
           options.densify = CompressOptions::kDensifyOff;
         else {
           int value = 0;
-          try {
-            value = std::stoi(text);
-          } catch (const std::exception&) {
-          }
-          if (value < 64 || value > 10'000) {
+          const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
+          if (error != std::errc() || end != text.data() + text.size() || value < 64 ||
+              value > 10'000) {
             throw CLI::ValidationError("expected auto, off, or 64 to 10000, not '" + text + "'");
           }
           options.densify = value;
@@ -399,7 +398,8 @@ struct Commands {
   void addDemo(CLI::App& app) {
     auto* command =
         add(app, "demo", "the whole job on the simulated rig", "lightsketch demo --out demo");
-    command->add_option("--out", demo_.out, "a new folder")->required();
+    command->add_option("--out", demo_.out, "a new folder, or that of a former demo")
+        ->capture_default_str();
     command->add_option("--directions", demo_.directions, "light directions to cover")
         ->check(CLI::Range(64, 10'000))
         ->capture_default_str();
