@@ -171,7 +171,6 @@ TEST_F(ImportSet, ExportAndImportGiveTheSameSketch) {
     EXPECT_EQ(exportLp(sketch, other / "lp", {format}, progress_).value(), 4);
     ImportOptions again;
     again.folder = other / "lp";
-    again.intensities = other / "lp/light_intensities.txt";
     again.out = other / "sketch";
     ASSERT_EQ(importSet(again, progress_)->imported, 4);
     const auto copy = Sketch::open(other / "sketch").value();
