@@ -24,6 +24,7 @@ const std::map<std::string, int> kRank = {
     {"pipeline/hdr", 3},
     {"pipeline/illumination", 3},
     {"capture/rig", 4},
+    {"calibration/pose", 4},
     {"capture/session", 4},
     {"pipeline/compress", 4},
     {"pipeline/relight", 5},

@@ -47,8 +47,8 @@ double angleBetween(const Vector3d& a, const Vector3d& b) {
 
 using Unknowns = Eigen::Matrix<double, 10, 1>;
 
-KannalaBrandtParameters parametersOf(const Unknowns& u) {
-  KannalaBrandtParameters p;
+FisheyeParameters parametersOf(const Unknowns& u) {
+  FisheyeParameters p;
   p.width = p.height = FisheyeLens::kSize;
   p.fx = u[0];
   p.fy = u[1];
@@ -113,7 +113,7 @@ Result<LensFit> fitKannalaBrandt(const FisheyeLens& lens) {
     }
   }
   const auto residuals = [&](const Unknowns& u) -> Result<Eigen::VectorXd> {
-    ASSIGN_OR_RETURN(const auto model, KannalaBrandtModel::create(parametersOf(u)));
+    ASSIGN_OR_RETURN(const auto model, FisheyeModel::create(parametersOf(u)));
     Eigen::VectorXd r(2 * static_cast<Eigen::Index>(directions.size()));
     for (std::size_t i = 0; i < directions.size(); ++i) {
       r.segment<2>(2 * static_cast<Eigen::Index>(i)) = *model->project(directions[i]) - pixels[i];
@@ -139,7 +139,7 @@ Result<LensFit> fitKannalaBrandt(const FisheyeLens& lens) {
   }
 
   LensFit fit;
-  ASSIGN_OR_RETURN(fit.model, KannalaBrandtModel::create(parametersOf(u)));
+  ASSIGN_OR_RETURN(fit.model, FisheyeModel::create(parametersOf(u)));
   double worst = 0;
   for (std::size_t i = 0; i < directions.size(); ++i) {
     // The rim's pixels may lie a hair outside the model's field; there is nothing to compare there.

@@ -16,8 +16,8 @@ namespace {
 using Eigen::Vector2d;
 using Eigen::Vector3d;
 
-KannalaBrandtParameters fisheye() {
-  KannalaBrandtParameters p;
+FisheyeParameters fisheye() {
+  FisheyeParameters p;
   p.width = 960;
   p.height = 960;
   p.fx = 290;
@@ -37,18 +37,18 @@ Vector3d directionAt(double thetaDegrees, double phiDegrees) {
 }
 
 TEST(KannalaBrandt, WithoutDistortionIsEquidistant) {
-  KannalaBrandtParameters p = fisheye();
+  FisheyeParameters p = fisheye();
   p.k = {};
   p.p = {};
-  const auto model = KannalaBrandtModel::create(p).value();
+  const auto model = FisheyeModel::create(p).value();
   const Vector2d pixel = model->project(5.0 * directionAt(60, 90)).value();
   EXPECT_NEAR(pixel.x(), p.cx, 1e-9);
   EXPECT_NEAR(pixel.y(), p.cy + p.fy * std::numbers::pi / 3, 1e-9);
 }
 
 TEST(KannalaBrandt, FollowsItsEquation) {
-  const KannalaBrandtParameters p = fisheye();
-  const auto model = KannalaBrandtModel::create(p).value();
+  const FisheyeParameters p = fisheye();
+  const auto model = FisheyeModel::create(p).value();
   const double theta = 0.9;
   const double phi = 0.4;
   const double d = theta + p.k[0] * std::pow(theta, 3) + p.k[1] * std::pow(theta, 5) +
@@ -65,7 +65,7 @@ TEST(KannalaBrandt, FollowsItsEquation) {
 }
 
 TEST(KannalaBrandt, UnprojectInvertsProjectOverTheFieldBeyond90Degrees) {
-  const auto model = KannalaBrandtModel::create(fisheye()).value();
+  const auto model = FisheyeModel::create(fisheye()).value();
   double worst = 0;
   for (double theta = 0; theta <= 99.9; theta += 0.9) {
     for (double phi = 0; phi < 360; phi += 7) {
@@ -82,7 +82,7 @@ TEST(KannalaBrandt, UnprojectInvertsProjectOverTheFieldBeyond90Degrees) {
 }
 
 TEST(KannalaBrandt, ProjectInvertsUnprojectOnEveryPixelOfTheField) {
-  const auto model = KannalaBrandtModel::create(fisheye()).value();
+  const auto model = FisheyeModel::create(fisheye()).value();
   int inside = 0;
   for (double y = 0.5; y < 960; y += 13) {
     for (double x = 0.5; x < 960; x += 13) {
@@ -96,7 +96,7 @@ TEST(KannalaBrandt, ProjectInvertsUnprojectOnEveryPixelOfTheField) {
 }
 
 TEST(KannalaBrandt, HasNoPixelOutsideTheField) {
-  const auto model = KannalaBrandtModel::create(fisheye()).value();
+  const auto model = FisheyeModel::create(fisheye()).value();
   EXPECT_TRUE(model->project(directionAt(99.99, 20)));
   EXPECT_FALSE(model->project(directionAt(100.01, 20)));
   EXPECT_FALSE(model->project({0, 0, -1}));
@@ -104,20 +104,20 @@ TEST(KannalaBrandt, HasNoPixelOutsideTheField) {
   EXPECT_FALSE(model->unproject({5000, 5000}));
   EXPECT_FALSE(model->unproject({std::numeric_limits<double>::infinity(), 0}));
 
-  KannalaBrandtParameters whole = fisheye();
+  FisheyeParameters whole = fisheye();
   whole.k = {};
   whole.p = {};
   whole.maxFieldAngle = Angle::degrees(180);
   // Straight back lies on a whole circle of pixels, not on the principal point.
-  EXPECT_FALSE(KannalaBrandtModel::create(whole).value()->project({0, 0, -1}));
+  EXPECT_FALSE(FisheyeModel::create(whole).value()->project({0, 0, -1}));
 }
 
 TEST(KannalaBrandt, PixelsPerRadianOfAnEquidistantLens) {
-  KannalaBrandtParameters p = fisheye();
+  FisheyeParameters p = fisheye();
   p.k = {};
   p.p = {};
   p.fy = p.fx;
-  const auto model = KannalaBrandtModel::create(p).value();
+  const auto model = FisheyeModel::create(p).value();
   for (const double degrees : {1.0, 45.0, 90.0, 100.0}) {
     const double theta = Angle::degrees(degrees).radians();
     const Eigen::JacobiSVD<Eigen::Matrix2d> svd(model->pixelsPerRadian(directionAt(degrees, 30)));
@@ -130,25 +130,25 @@ TEST(KannalaBrandt, PixelsPerRadianOfAnEquidistantLens) {
 }
 
 TEST(KannalaBrandt, RefusesLensesThatFold) {
-  KannalaBrandtParameters p = fisheye();
+  FisheyeParameters p = fisheye();
   p.k = {-0.3, 0, 0, 0};  // 1 + 3 k theta^2 = 0 at 60.4 degrees
-  const auto folded = KannalaBrandtModel::create(p);
+  const auto folded = FisheyeModel::create(p);
   ASSERT_FALSE(folded);
   EXPECT_NE(folded.error().message.find("60."), std::string::npos) << folded.error().message;
   p.maxFieldAngle = Angle::degrees(60);
-  EXPECT_TRUE(KannalaBrandtModel::create(p));
+  EXPECT_TRUE(FisheyeModel::create(p));
 
   p = fisheye();
   p.p = {0.5, 0};
-  EXPECT_FALSE(KannalaBrandtModel::create(p));
+  EXPECT_FALSE(FisheyeModel::create(p));
 }
 
 TEST(KannalaBrandt, RefusesNonsense) {
   const double nan = std::numeric_limits<double>::quiet_NaN();
   const auto refused = [](auto&& change) {
-    KannalaBrandtParameters p = fisheye();
+    FisheyeParameters p = fisheye();
     change(p);
-    return !KannalaBrandtModel::create(p);
+    return !FisheyeModel::create(p);
   };
   EXPECT_TRUE(refused([&](auto& p) { p.fx = nan; }));
   EXPECT_TRUE(refused([&](auto& p) { p.fy = -1; }));
@@ -161,7 +161,7 @@ TEST(KannalaBrandt, RefusesNonsense) {
 
 TEST(CameraFile, RoundTripKeepsEveryProjection) {
   const TemporaryFolder folder;
-  const auto model = KannalaBrandtModel::create(fisheye()).value();
+  const auto model = FisheyeModel::create(fisheye()).value();
   ASSERT_TRUE(saveCameraModel(*model, folder / "camera.json"));
   const auto loaded = loadCameraModel(folder / "camera.json").value();
   EXPECT_EQ(loaded->width(), 960);
@@ -176,7 +176,7 @@ TEST(CameraFile, RoundTripKeepsEveryProjection) {
 TEST(CameraFile, RefusesBadFilesWithFileAndField) {
   const TemporaryFolder folder;
   const auto file = folder / "camera.json";
-  const Json good = cameraModelToJson(*KannalaBrandtModel::create(fisheye()).value());
+  const Json good = cameraModelToJson(*FisheyeModel::create(fisheye()).value());
   const auto complaint = [&](const Json& json) {
     writeContent(file, json.dump());
     const auto loaded = loadCameraModel(file);
@@ -193,7 +193,7 @@ TEST(CameraFile, RefusesBadFilesWithFileAndField) {
     EXPECT_NE(complaint(json).find("'" + field + "'"), std::string::npos);
   }
   Json json = good;
-  json["formatVersion"] = 2;
+  json["formatVersion"] = 3;
   EXPECT_NE(complaint(json).find("newer"), std::string::npos);
   json = good;
   json["model"] = "pinhole";

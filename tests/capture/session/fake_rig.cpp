@@ -117,12 +117,12 @@ class FakeCamera final : public Camera {
 };
 
 FakeRig::FakeRig(bool guided) {
-  KannalaBrandtParameters lens;
+  FisheyeParameters lens;
   lens.width = lens.height = kSourceSize;
   lens.fx = lens.fy = 66;
   lens.cx = lens.cy = kSourceSize / 2.0;
   lens.maxFieldAngle = Angle::degrees(98);
-  model_ = KannalaBrandtModel::create(lens).value();
+  model_ = FisheyeModel::create(lens).value();
   movedAt_ = Clock::now();
   scene_ = std::make_unique<FakeCamera>(*this, false, guided);
   source_ = std::make_unique<FakeCamera>(*this, true, guided);

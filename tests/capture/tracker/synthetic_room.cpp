@@ -20,14 +20,14 @@ SyntheticRoom::SyntheticRoom(std::uint32_t seed, PixelFormat format)
       room_(kSize * kSize),
       canvas_(kSize * kSize),
       noise_(3 * kSize * kSize) {
-  KannalaBrandtParameters lens;
+  FisheyeParameters lens;
   lens.width = lens.height = kSize;
   lens.fx = lens.fy = 296;
   lens.cx = 481.3;
   lens.cy = 478.9;
   lens.k = {0.012, -0.006, 0.001, 0};
   lens.maxFieldAngle = Angle::degrees(92.5);
-  model_ = KannalaBrandtModel::create(lens).value();
+  model_ = FisheyeModel::create(lens).value();
 
   // Table to the side and below: y is down. A picture's glass in front.
   mirrors.push_back({{0, -1, 0}, 0.25, 1e9, Eigen::Vector3d::Zero()});
