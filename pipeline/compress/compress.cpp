@@ -11,6 +11,7 @@
 #include <cmath>
 #include <exception>
 #include <memory>
+#include <mutex>
 #include <new>
 #include <numeric>
 #include <optional>
@@ -78,6 +79,7 @@ class SrgbDecoder {
 struct LightPlan {
   std::vector<Vector3d> lights;
   InterpolationSettings interpolation;  // between the model's lights
+  InterpolationSettings captured;       // between the captured ones
   // N x n: picture of each of the model's lights as a sum of captured ones, in the encoded domain.
   // Empty if the model's lights are the captured ones.
   RowMajorMatrixf weights;
@@ -121,10 +123,11 @@ int densityFor(int captures) {
 }
 
 Result<LightPlan> planLights(const LightStack& stack, const ScratchStack& scratch,
-                             const BlockLayout& layout, int nodes) {
+                             const BlockLayout& layout, int nodes, bool nearLight) {
   LightPlan plan;
   const auto& captured = stack.directions();
   if (nodes == CompressOptions::kDensifyAuto) nodes = densityFor(stack.size());
+  if (nearLight && nodes == CompressOptions::kDensifyOff) nodes = 1024;
   const bool densify = nodes != CompressOptions::kDensifyOff;
   ASSIGN_OR_RETURN(const MatrixXf samples, samplesOf(scratch, layout, HalfTable(densify)));
   ASSIGN_OR_RETURN(const auto settings, chooseInterpolation(captured, samples));
@@ -153,8 +156,52 @@ Result<LightPlan> planLights(const LightStack& stack, const ScratchStack& scratc
                         .trendDegree = 1,
                         .nugget = 0,
                         .outsideClamp = 1};
+  plan.captured = interpolator.settings();
   plan.description = interpolator.settings().describe();
   return plan;
+}
+
+// One block of a subject near the lamps: turns what was captured into what lamps as far from every
+// pixel as from the origin would have given, and returns the block's own weights (as
+// LightPlan::weights), for the lights as seen from its middle.
+Result<RowMajorMatrixf> nearWeights(const LightStack& stack, const LightPlan& plan,
+                                    const SurfacePoints& surface, const BlockLayout& layout,
+                                    int block, std::vector<float>& captured) {
+  const int size = layout.blockSize;
+  const int left = block % layout.columns() * size;
+  const int top = block / layout.columns() * size;
+  const auto p = static_cast<std::size_t>(layout.pixelsPerBlock());
+  std::vector<std::pair<std::size_t, Vector3d>> points;  // of the pixels that the picture has
+  Vector3d middle = Vector3d::Zero();
+  for (int y = 0; y < size && top + y < layout.height; ++y) {
+    for (int x = 0; x < size && left + x < layout.width; ++x) {
+      points.emplace_back(static_cast<std::size_t>(y * size + x),
+                          Vector3d(surface(left + x, top + y, 0), surface(left + x, top + y, 1),
+                                   surface(left + x, top + y, 2)));
+      middle += points.back().second;
+    }
+  }
+  middle /= static_cast<double>(points.size());
+  std::vector<Vector3d> directions;
+  for (std::size_t i = 0; i < static_cast<std::size_t>(stack.size()); ++i) {
+    const Vector3d& lamp = *stack.positions()[i];
+    directions.push_back((lamp - middle).normalized());
+    for (const auto& [pixel, point] : points) {
+      const auto factor = static_cast<float>(1 / nearFactor(lamp, point));
+      for (std::size_t c = 0; c < 3; ++c) {
+        float& value = captured[(i * 3 + c) * p + pixel];
+        value = srgbEncode(value * factor);
+      }
+    }
+  }
+  ASSIGN_OR_RETURN(const auto interpolator,
+                   DirectionInterpolator::create(directions, plan.captured));
+  RowMajorMatrixf weights(static_cast<Eigen::Index>(plan.lights.size()), stack.size());
+  for (std::size_t i = 0; i < plan.lights.size(); ++i) {
+    weights.row(static_cast<Eigen::Index>(i)) =
+        interpolator.weights(plan.lights[i]).cast<float>().transpose();
+  }
+  return weights;
 }
 
 // Which of a block's pixels the picture has.
@@ -181,14 +228,15 @@ struct Workspace {
 };
 
 // Stage 1 over all blocks. Each strip of blocks is read once; everything else is local to a block.
-Result<double> firstStage(const ScratchStack& scratch, const LightPlan& plan,
-                          const CompressOptions& options, RelightableModel& model,
-                          RowMajorMatrixf& L, Progress& progress) {
+Result<double> firstStage(const LightStack& stack, const ScratchStack& scratch,
+                          const LightPlan& plan, const CompressOptions& options,
+                          RelightableModel& model, RowMajorMatrixf& L, Progress& progress) {
   const BlockLayout& layout = model.layout;
   const auto images = static_cast<std::size_t>(scratch.images());
   const std::size_t values = scratch.blockValues();
   const bool densify = plan.weights.size() > 0;
-  const HalfTable table(densify);
+  const SurfacePoints* surface = options.surface.get();
+  const HalfTable table(densify && !surface);  // near lights are encoded after their distance
   const SrgbDecoder decode;
   const SingleThreadedBlas singleThreaded;
 
@@ -200,6 +248,8 @@ Result<double> firstStage(const ScratchStack& scratch, const LightPlan& plan,
   tbb::enumerable_thread_specific<Workspace> workspaces;
   std::vector<double> energies(static_cast<std::size_t>(layout.blocks()), 0.0);
   std::atomic<std::size_t> done = 0;
+  std::mutex mutex;  // guards the first failure
+  std::optional<Error> error;
   std::vector<std::uint16_t> halfs;
   progress.update(kStage1, 0, energies.size());
   for (int row = 0; row < layout.rows(); ++row) {
@@ -219,12 +269,24 @@ Result<double> firstStage(const ScratchStack& scratch, const LightPlan& plan,
           for (std::size_t v = 0; v < values; ++v) target[v] = table[source[v]];
         }
         std::vector<float>* columns = &work.captured;
+        const RowMajorMatrixf* weights = &plan.weights;
+        RowMajorMatrixf own;
+        if (surface) {
+          auto made = nearWeights(stack, plan, *surface, layout, block, work.captured);
+          if (!made) {
+            const std::scoped_lock lock(mutex);
+            if (!error) error = made.error();
+            return;
+          }
+          own = std::move(*made);
+          weights = &own;
+        }
         if (densify) {
           columns = &work.columns;
           columns->resize(plan.lights.size() * values);
           cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans,
                       static_cast<int>(plan.lights.size()), static_cast<int>(values),
-                      static_cast<int>(images), 1, plan.weights.data(), static_cast<int>(images),
+                      static_cast<int>(images), 1, weights->data(), static_cast<int>(images),
                       work.captured.data(), static_cast<int>(values), 0, columns->data(),
                       static_cast<int>(values));
           for (float& value : *columns) value = decode(value);
@@ -246,6 +308,7 @@ Result<double> firstStage(const ScratchStack& scratch, const LightPlan& plan,
         progress.update(kStage1, ++done, energies.size());
       });
       if (progress.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
+      if (error) return tl::unexpected<Error>(std::move(*error));
     }
   }
   return std::accumulate(energies.begin(), energies.end(), 0.0);
@@ -274,6 +337,25 @@ void fillRatios(CompressSummary& s) {
   s.ratio = original / (rows * p + rows * s.rank + 3.0 * s.rank * s.lights);
 }
 
+Result<void> checkNearLight(const LightStack& stack, const SurfacePoints& surface,
+                            const Sketch& sketch) {
+  if (surface.width() != stack.width() || surface.height() != stack.height() ||
+      surface.channels() != 3) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "near light: the scene camera's model is for {} x {}, the sketch's frames are "
+                   "{} x {}",
+                   surface.width(), surface.height(), stack.width(), stack.height());
+  }
+  for (std::size_t i = 0; i < stack.positions().size(); ++i) {
+    if (stack.positions()[i]) continue;
+    return failure(ErrorCode::kInvalidArgument,
+                   "{}: frame {} has no lamp position, near light needs it for all; `lightsketch "
+                   "calibrate apply` finds positions from two source cameras or a given radius",
+                   sketch.folder().string(), stack.ids()[i]);
+  }
+  return {};
+}
+
 Result<CompressResult> compressUnguarded(const Sketch& sketch, const CompressOptions& options,
                                          Progress& progress) {
   RETURN_IF_ERROR(options.validate());
@@ -288,6 +370,8 @@ Result<CompressResult> compressUnguarded(const Sketch& sketch, const CompressOpt
     return failure(ErrorCode::kCorrupt, "{}: its pictures have no size", sketch.folder().string());
   }
 
+  if (options.surface) RETURN_IF_ERROR(checkNearLight(stack, *options.surface, sketch));
+
   TimePoint start = Clock::now();
   const auto folder = options.scratchFolder.empty() ? std::filesystem::temp_directory_path()
                                                     : options.scratchFolder;
@@ -297,14 +381,16 @@ Result<CompressResult> compressUnguarded(const Sketch& sketch, const CompressOpt
 
   start = Clock::now();
   progress.update("choosing the interpolation", 0, 1);
-  ASSIGN_OR_RETURN(LightPlan plan, planLights(stack, scratch, model.layout, options.densify));
+  ASSIGN_OR_RETURN(LightPlan plan, planLights(stack, scratch, model.layout, options.densify,
+                                              options.surface != nullptr));
   ASSIGN_OR_RETURN(model.solidAngles, voronoiSolidAngles(plan.lights));
   const std::size_t columns = 3 * plan.lights.size();
   model.blockOffset = blockOffsets(model.layout, options.blockRank, columns);
   const auto rows = static_cast<Eigen::Index>(model.blockOffset.back());
   model.E.resize(rows, model.layout.pixelsPerBlock());
   RowMajorMatrixf L(rows, static_cast<Eigen::Index>(columns));
-  ASSIGN_OR_RETURN(const double energy, firstStage(scratch, plan, options, model, L, progress));
+  ASSIGN_OR_RETURN(const double energy,
+                   firstStage(stack, scratch, plan, options, model, L, progress));
   summary.stage1Seconds = secondsSince(start);
 
   start = Clock::now();
@@ -320,6 +406,7 @@ Result<CompressResult> compressUnguarded(const Sketch& sketch, const CompressOpt
   summary.heldOut = static_cast<int>(split.heldOut.size());
   summary.lights = static_cast<int>(plan.lights.size());
   summary.densified = plan.weights.size() > 0;
+  summary.nearLight = options.surface != nullptr;
   summary.capturesInterpolation = plan.description;
   summary.blocks = model.layout.blocks();
   summary.pixelsPerBlock = model.layout.pixelsPerBlock();
@@ -393,6 +480,7 @@ std::string CompressSummary::describe() const {
     text += fmt::format("densified       to {} directions, encoded domain: {}\n", lights,
                         capturesInterpolation);
   }
+  if (nearLight) text += "near light      every block's own directions, every pixel's distance\n";
   text += fmt::format(
       "first stage     {} blocks of {} pixels, {} basis rows, {:.4f} % of the energy, {:.1f} s\n",
       blocks, pixelsPerBlock, rows, 100 * stage1Energy, stage1Seconds);
@@ -413,6 +501,7 @@ Json CompressSummary::toJson() const {
           {"heldOut", heldOut},
           {"lights", lights},
           {"densified", densified},
+          {"nearLight", nearLight},
           {"capturesInterpolation", capturesInterpolation},
           {"blocks", blocks},
           {"pixelsPerBlock", pixelsPerBlock},

@@ -5,11 +5,13 @@
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <string>
 
 #include "capture/frame/progress.h"
 #include "capture/frame/result.h"
 #include "pipeline/compress/model.h"
+#include "pipeline/compress/near_light.h"
 #include "pipeline/sketch/sketch.h"
 
 namespace lightsketch {
@@ -25,6 +27,10 @@ struct CompressOptions {
   static constexpr int kDensifyAuto = -1;  // by the number of captures
   static constexpr int kDensifyOff = 0;    // the model's lights are the captured ones
   int densify = kDensifyAuto;
+  // The subject's surface, for lamps too near to count as far away: every block then has light
+  // directions of its own and every pixel its own distance, and the model is of far lights. Needs
+  // lamp positions in the sketch; always densifies. Nothing: the lamps count as far away.
+  std::shared_ptr<const SurfacePoints> surface = {};
   // For the strips of images being worked on. Stage 2 needs 3n floats per row of E and U besides.
   std::size_t memoryLimitBytes = 1'500'000'000;
   // Where the decoded images (6 bytes a pixel) wait; nothing is left there. Empty: the system's
@@ -39,6 +45,7 @@ struct CompressSummary {
   int heldOut = 0;
   int lights = 0;  // n of the model
   bool densified = false;
+  bool nearLight = false;             // each block's own light directions and distances were used
   std::string capturesInterpolation;  // how, chosen by leave-one-out; empty if not densified
   int blocks = 0;                     // m
   int pixelsPerBlock = 0;             // p

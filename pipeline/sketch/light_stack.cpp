@@ -17,6 +17,7 @@ Result<LightStack> LightStack::create(const Sketch& sketch, std::vector<int> ids
                      sketch.folder().string(), id, record.dropReason);
     }
     stack.directions_.push_back(record.light.direction);
+    stack.positions_.push_back(record.light.position);
   }
   stack.sketch_ = &sketch;
   stack.width_ = sketch.manifest().width;

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <optional>
 #include <vector>
 
 #include "pipeline/sketch/sketch.h"
@@ -19,6 +20,8 @@ class LightStack {
   int height() const { return height_; }
   const std::vector<int>& ids() const { return ids_; }
   const std::vector<Eigen::Vector3d>& directions() const { return directions_; }
+  // Where the lamp was, metres, scene frame; nothing where only its direction is known.
+  const std::vector<std::optional<Eigen::Vector3d>>& positions() const { return positions_; }
 
   // Linear RGB of image i (an index into ids()), h x w x 3. Thread-safe.
   Result<RadianceImage> read(int i) const;
@@ -29,6 +32,7 @@ class LightStack {
   int height_ = 0;
   std::vector<int> ids_;
   std::vector<Eigen::Vector3d> directions_;
+  std::vector<std::optional<Eigen::Vector3d>> positions_;
   RadianceImage ambient_;  // empty if there is nothing to subtract
 };
 
