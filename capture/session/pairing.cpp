@@ -3,6 +3,8 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <numbers>
+#include <vector>
 
 namespace lightsketch {
 namespace {
@@ -13,6 +15,11 @@ using Eigen::Vector3d;
 constexpr double kHistorySeconds = 10;
 constexpr double kRadiusUncertainty = 0.05;
 constexpr double kBendUncertainty = 0.5;
+// A hand trembles at 8 to 12 Hz by a tenth of a degree (2 mm at arm's length), too fast for source
+// frames to follow: between them that much is unknown, near them as much as it moves meanwhile.
+constexpr double kTremorRadians = Angle::degrees(0.1).radians();
+constexpr double kTremorRadiansPerSecond = 2 * std::numbers::pi * 10 * kTremorRadians;
+constexpr double kSameLight = 1e-4;  // rays that miss each other so improbably are of two lights
 
 double angleBetween(const Vector3d& a, const Vector3d& b) {
   return std::atan2(a.cross(b).norm(), a.dot(b));
@@ -22,16 +29,6 @@ Vector3d slerp(const Vector3d& a, const Vector3d& b, double f) {
   const double angle = angleBetween(a, b);
   if (angle < 1e-9) return a;
   return ((std::sin((1 - f) * angle) * a + std::sin(f * angle) * b) / std::sin(angle)).normalized();
-}
-
-// Where the ray from `origin` leaves the sphere about the scene's origin.
-std::optional<Vector3d> onSphere(const Vector3d& origin, const Vector3d& ray, double radius) {
-  const double b = origin.dot(ray);
-  const double discriminant = b * b - origin.squaredNorm() + radius * radius;
-  if (discriminant < 0) return std::nullopt;
-  const double distance = -b + std::sqrt(discriminant);
-  if (distance <= 0) return std::nullopt;
-  return Vector3d(origin + distance * ray);
 }
 
 }  // namespace
@@ -88,6 +85,8 @@ tl::expected<PairedLamp, PairingFailure> ObservationHistory::at(TimePoint time,
   lamp.time = time;
   const Vector3d straight = slerp(a.directionInSource, b.directionInSource, f);
   lamp.directionInSource = straight;
+  lamp.originInSource = (1 - f) * a.originInSource + f * b.originInSource;
+  lamp.beyondCalibration = a.beyondCalibration || b.beyondCalibration;
   lamp.pixel = (1 - f) * a.pixel + f * b.pixel;
   // A hand changes its speed by up to 450 degrees a second squared, which costs a straight line up
   // to 0.4 degrees at 12 frames a second: bend it by the frame before, where there is one.
@@ -120,10 +119,14 @@ tl::expected<PairedLamp, PairingFailure> ObservationHistory::at(TimePoint time,
       Matrix3d::Identity() - lamp.directionInSource * lamp.directionInSource.transpose();
   // What the bend changed is also a measure of what is still unknown.
   const Vector3d bent = kBendUncertainty * (lamp.directionInSource - straight);
-  lamp.directionCovariance = tangent *
-                             ((1 - f) * a.directionCovariance + f * b.directionCovariance +
-                              along * along.transpose() + bent * bent.transpose()) *
-                             tangent;
+  const double tremor =
+      std::min(kTremorRadians,
+               kTremorRadiansPerSecond * std::min(paired.secondsToBefore, paired.secondsToAfter));
+  lamp.directionCovariance =
+      tangent *
+      ((1 - f) * a.directionCovariance + f * b.directionCovariance + along * along.transpose() +
+       bent * bent.transpose() + tremor * tremor * Matrix3d::Identity()) *
+      tangent;
   lamp.covariance += alongPixel * alongPixel.transpose();
   return paired;
 }
@@ -142,40 +145,29 @@ std::string ObservationHistory::trouble() const {
   return entries_.empty() ? std::string() : entries_.back().reason;
 }
 
-LightDirection lightAtSubject(const LampObservation& lamp, const RigGeometry& rig) {
-  const Eigen::Isometry3d& sceneFromSource = rig.sourceCameras.front().sceneFromCamera;
-  const Vector3d origin = sceneFromSource.translation();
-  const Vector3d ray = sceneFromSource.linear() * lamp.directionInSource;
-  const Matrix3d covariance =
-      sceneFromSource.linear() * lamp.directionCovariance * sceneFromSource.linear().transpose();
+Result<LightDirection> lightAtSubject(std::span<const SeenLamp> seen, const RigGeometry& rig) {
+  std::vector<LampRay> rays;
+  for (const SeenLamp& one : seen) {
+    rays.push_back(lampRay(rig.sourceCameras.at(one.camera), one.lamp.originInSource,
+                           one.lamp.directionInSource, one.lamp.directionCovariance));
+  }
+  if (rays.size() > 1) {
+    ASSIGN_OR_RETURN(const LampPosition lamp, triangulateLamp(rays));
+    if (lamp.probability < kSameLight) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "the source cameras see different lights, or their poses are off");
+    }
+    return lightDirectionOf(lamp);
+  }
+  const LampRay& ray = rays.at(0);
+  if (rig.lampRadiusMetres) {
+    const auto lamp =
+        lampAtRadius(ray, *rig.lampRadiusMetres, kRadiusUncertainty * *rig.lampRadiusMetres);
+    if (lamp) return lightDirectionOf(*lamp);
+  }
   LightDirection light;
-  const std::optional<Vector3d> position =
-      rig.lampRadiusMetres ? onSphere(origin, ray, *rig.lampRadiusMetres) : std::nullopt;
-  if (!position) {
-    light.direction = ray;
-    light.covariance = covariance;
-    return light;
-  }
-  light.position = position;
-  light.direction = position->normalized();
-
-  // d(direction at the subject) / d(direction at the camera) and / d(radius), by differences.
-  const auto directionFor = [&](const Vector3d& r, double radius) {
-    return onSphere(origin, r.normalized(), radius).value_or(*position).normalized();
-  };
-  constexpr double kStep = 1e-4;
-  const double radius = *rig.lampRadiusMetres;
-  Matrix3d jacobian;
-  for (int axis = 0; axis < 3; ++axis) {
-    const Vector3d step = kStep * Vector3d::Unit(axis);
-    jacobian.col(axis) =
-        (directionFor(ray + step, radius) - directionFor(ray - step, radius)) / (2 * kStep);
-  }
-  const Vector3d perRadius =
-      (directionFor(ray, radius * (1 + kStep)) - directionFor(ray, radius * (1 - kStep))) /
-      (2 * kStep);  // for a relative change
-  light.covariance = jacobian * covariance * jacobian.transpose() +
-                     kRadiusUncertainty * kRadiusUncertainty * perRadius * perRadius.transpose();
+  light.direction = ray.direction;
+  light.covariance = ray.directionCovariance;
   return light;
 }
 

@@ -6,9 +6,11 @@
 #include <deque>
 #include <mutex>
 #include <optional>
+#include <span>
 #include <string>
 
 #include "calibration/model/rig_geometry.h"
+#include "capture/frame/result.h"
 #include "capture/tracker/lamp_tracker.h"
 #include "pipeline/sketch/light_direction.h"
 
@@ -53,10 +55,16 @@ class ObservationHistory {
   bool ended_ = false;
 };
 
-// From the source camera's view of the lamp to the light that falls on the subject. With a lamp
-// radius, the ray is cut with the sphere of that radius about the origin, and a twentieth of it is
-// taken as its one-sigma uncertainty (parallax costs 5 degrees otherwise: the camera stands beside
-// the subject). Without, or where the ray misses the sphere, the lamp is taken to be far away.
-LightDirection lightAtSubject(const LampObservation& lamp, const RigGeometry& rig);
+struct SeenLamp {
+  std::size_t camera;  // index into RigGeometry::sourceCameras
+  LampObservation lamp;
+};
+
+// From what source cameras see of the lamp at one time to the light that falls on the subject.
+// Two and more: triangulated. One: on the sphere of the rig's lamp radius about the subject, a
+// twentieth of it taken as its one-sigma uncertainty (parallax costs 5 degrees otherwise: the
+// camera stands beside the subject); without a radius the lamp is taken to be far away. Fails where
+// the cameras do not see the same light, or too near together to tell its distance.
+Result<LightDirection> lightAtSubject(std::span<const SeenLamp> seen, const RigGeometry& rig);
 
 }  // namespace lightsketch

@@ -1,7 +1,9 @@
 #include "capture/session/recorder.h"
 
+#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <atomic>
 #include <cmath>
 #include <condition_variable>
@@ -121,13 +123,17 @@ Result<LightGrid> gridFor(const RecorderOptions& o) {
       o.directions, o.fullSphere ? LightGrid::Domain::kSphere : LightGrid::Domain::kHemisphere);
 }
 
+// Where lampScale is 1.
+double referenceDistance(const RigGeometry& rig) { return rig.lampRadiusMetres.value_or(1.0); }
+
 // A lamp above the scene's horizon, seen from a source camera that may stand in front of it, is at
 // most this far below the camera's own: everything lower is a reflection off the table.
-LampTrackerOptions trackerOptions(const RigGeometry& rig, const RecorderOptions& options) {
+LampTrackerOptions trackerOptions(const CameraPose& pose, const RigGeometry& rig,
+                                  const RecorderOptions& options) {
   LampTrackerOptions tracker;
   tracker.blackLevel = options.sourceBlackLevel;
-  if (options.fullSphere) return tracker;
-  const Eigen::Isometry3d& sceneFromSource = rig.sourceCameras.front().sceneFromCamera;
+  if (options.fullSphere || options.posesUnknown) return tracker;
+  const Eigen::Isometry3d& sceneFromSource = pose.sceneFromCamera;
   const double ahead = std::max(0.0, sceneFromSource.translation().z());
   const double depression =
       rig.lampRadiusMetres ? std::asin(std::min(1.0, ahead / *rig.lampRadiusMetres)) : 0.0;
@@ -136,28 +142,48 @@ LampTrackerOptions trackerOptions(const RigGeometry& rig, const RecorderOptions&
   return tracker;
 }
 
+// One source camera: its frames, what its tracker made of them, and the thread in between.
+struct SourceStream {
+  SourceStream(const SourceCamera& source, const CameraPose& cameraPose, const RigGeometry& rig,
+               const RecorderOptions& options)
+      : camera(source.camera),
+        name(cameraPose.camera.empty() ? source.camera.info().address : cameraPose.camera),
+        calibrationId(checksum(cameraModelToJson(*source.model).dump())),
+        tracker(source.model, trackerOptions(cameraPose, rig, options)) {}
+
+  Camera& camera;
+  const std::string name;
+  const std::string calibrationId;
+  LampTracker tracker;  // its thread's
+  BoundedQueue<Frame> queue{kFrameQueue};
+  ObservationHistory history;
+  std::atomic<Clock::rep> last{Clock::now().time_since_epoch().count()};
+  std::jthread thread;
+};
+
 // What one recording is made of. record() builds it, starts its threads and ends them.
 class Recording {
  public:
-  Recording(Camera& sceneCamera, Camera& sourceCamera, std::shared_ptr<const CameraModel> model,
-            const RigGeometry& rig, const RecorderOptions& options, Progress& progress,
+  Recording(Camera& sceneCamera, std::span<const SourceCamera> sources, const RigGeometry& rig,
+            const RecorderOptions& options, Progress& progress,
             std::function<void(const RecorderState&)> onState, Sketch sketch, Coverage coverage,
             const CameraSettings& sceneSettings)
       : sceneCamera_(sceneCamera),
-        sourceCamera_(sourceCamera),
         rig_(rig),
         options_(options),
         progress_(progress),
         onState_(std::move(onState)),
         sketch_(std::move(sketch)),
         coverage_(std::move(coverage)),
-        tracker_(model, trackerOptions(rig, options)),
-        calibrationId_(checksum(cameraModelToJson(*model).dump())),
         wanted_(static_cast<int>(
             std::ceil(options.coverageGoal * static_cast<double>(coverage_.grid().size()) - 1e-9))),
-        guide_(sourceCamera, [&progress](const Error& error) {
+        guide_(sources.front().camera, [&progress](const Error& error) {
           progress.warn("cannot show where to go: " + error.message);
         }) {
+    for (std::size_t i = 0; i < sources.size(); ++i) {
+      sources_.push_back(
+          std::make_unique<SourceStream>(sources[i], rig.sourceCameras[i], rig, options));
+    }
     linearise_.blackLevel = options.sceneBlackLevel;
     linearise_.referenceExposureSeconds = sceneSettings.exposureSeconds.value_or(0);
     linearise_.referenceGainDb = sceneSettings.gainDb.value_or(0);
@@ -198,6 +224,13 @@ class Recording {
   Result<RecorderSummary> run(std::stop_token stop);
 
  private:
+  struct Lit {
+    LightDirection light;
+    std::vector<SeenLamp> seen;      // by which source cameras, at the frame's time
+    std::vector<PairedLamp> paired;  // the same
+    Angle motion;
+  };
+
   // Ends the recording; the first reason counts.
   void end(std::string why, bool drain) {
     {
@@ -232,18 +265,19 @@ class Recording {
     return toSeconds(Clock::now() - TimePoint(TimePoint::duration(last.load()))) > limit;
   }
 
-  void trackSource();
+  void trackSource(SourceStream& source);
   void judgeScene();
   void writeSketch();
 
   Result<void> takeAmbient(const Frame& frame);
+  tl::expected<Lit, Refusal> lightOn(const Frame& frame);
   Result<Refusal> judge(const Frame& frame);
   void guideOn(double seconds);
   void report();
   RecorderSummary summarise();
 
   Camera& sceneCamera_;
-  Camera& sourceCamera_;
+  std::vector<std::unique_ptr<SourceStream>> sources_;
   const RigGeometry& rig_;
   const RecorderOptions& options_;
   Progress& progress_;
@@ -263,10 +297,8 @@ class Recording {
   RecorderSummary summary_;
   int width_ = 0;
   int height_ = 0;
-  // The source thread's.
-  LampTracker tracker_;
+  std::optional<double> lampDistance_;  // as triangulated last, metres
 
-  const std::string calibrationId_;
   const int wanted_;
   double secondsBefore_ = 0;  // a resumed recording's clock goes on from here
   const TimePoint start_ = Clock::now();
@@ -275,11 +307,8 @@ class Recording {
   std::atomic<int> durable_ = 0;  // directions on disk
   std::atomic<int> written_ = 0;  // frames on disk
   std::atomic<Clock::rep> lastScene_{Clock::now().time_since_epoch().count()};
-  std::atomic<Clock::rep> lastSource_{Clock::now().time_since_epoch().count()};
   BoundedQueue<Frame> sceneQueue_{kFrameQueue};
-  BoundedQueue<Frame> sourceQueue_{kFrameQueue};
   BoundedQueue<WriteJob> writeQueue_{kWriteQueue};
-  ObservationHistory history_;
 
   std::mutex mutex_;  // Guards ended_, drain_, error_.
   std::condition_variable changed_;
@@ -290,18 +319,20 @@ class Recording {
   GuideWriter guide_;
 };
 
-void Recording::trackSource() {
-  while (auto frame = sourceQueue_.pop()) {
+void Recording::trackSource(SourceStream& source) {
+  while (auto frame = source.queue.pop()) {
     if (ambientPhase_) {
-      if (auto status = tracker_.learnBackground(*frame); !status) return fail(status.error());
-      history_.add(frame->metadata.midExposure, {});
+      if (auto status = source.tracker.learnBackground(*frame); !status) {
+        return fail(status.error());
+      }
+      source.history.add(frame->metadata.midExposure, {});
       continue;
     }
-    auto result = tracker_.track(*frame);
+    auto result = source.tracker.track(*frame);
     if (!result) return fail(result.error());
-    history_.add(frame->metadata.midExposure, std::move(*result));
+    source.history.add(frame->metadata.midExposure, std::move(*result));
   }
-  history_.end();
+  source.history.end();
 }
 
 void Recording::writeSketch() {
@@ -378,18 +409,52 @@ Result<void> Recording::takeAmbient(const Frame& frame) {
   return {};
 }
 
+// The light at the scene frame's time, from every source camera that saw the lamp.
+tl::expected<Recording::Lit, Refusal> Recording::lightOn(const Frame& frame) {
+  const FrameMetadata& metadata = frame.metadata;
+  Lit lit;
+  Refusal refusal = Refusal::kUnpaired;  // the one that got furthest
+  for (std::size_t i = 0; i < sources_.size(); ++i) {
+    ObservationHistory& history = sources_[i]->history;
+    history.waitFor(metadata.midExposure,
+                    fromSeconds(options_.maxPairingSeconds + kPatienceSeconds));
+    auto paired =
+        history.at(metadata.midExposure, metadata.timeUncertainty, options_.maxPairingSeconds);
+    if (!paired) {
+      if (paired.error() == PairingFailure::kLampNotSeen && refusal == Refusal::kUnpaired) {
+        refusal = Refusal::kLampNotSeen;
+      }
+      continue;
+    }
+    if (paired->lamp.beyondCalibration) {
+      refusal = Refusal::kBeyondCalibration;
+      continue;
+    }
+    lit.motion =
+        std::max(lit.motion, Angle::radians(paired->radiansPerSecond * metadata.exposureSeconds));
+    lit.seen.push_back({i, paired->lamp});
+    lit.paired.push_back(std::move(*paired));
+  }
+  if (lit.seen.empty()) return tl::unexpected(refusal);
+  if (lit.motion > options_.maxLampMotion) return tl::unexpected(Refusal::kLampTooFast);
+  const std::span<const SeenLamp> used(lit.seen);
+  auto light = lightAtSubject(options_.posesUnknown ? used.first(1) : used, rig_);
+  if (!light) return tl::unexpected(Refusal::kUncertain);
+  lit.light = std::move(*light);
+  const double worst =
+      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(lit.light.covariance).eigenvalues()[2];
+  if (!(std::sqrt(std::max(worst, 0.0)) <= options_.maxDirectionSigma.radians())) {
+    return tl::unexpected(Refusal::kUncertain);
+  }
+  return lit;
+}
+
 Result<Refusal> Recording::judge(const Frame& frame) {
   const FrameMetadata& metadata = frame.metadata;
-  history_.waitFor(metadata.midExposure,
-                   fromSeconds(options_.maxPairingSeconds + kPatienceSeconds));
-  const auto paired =
-      history_.at(metadata.midExposure, metadata.timeUncertainty, options_.maxPairingSeconds);
-  if (!paired) {
-    return paired.error() == PairingFailure::kUnpaired ? Refusal::kUnpaired : Refusal::kLampNotSeen;
-  }
-  const Angle motion = Angle::radians(paired->radiansPerSecond * metadata.exposureSeconds);
-  if (motion > options_.maxLampMotion) return Refusal::kLampTooFast;
-  LightDirection light = lightAtSubject(paired->lamp, rig_);
+  const auto lit = lightOn(frame);
+  if (!lit) return lit.error();
+  const LightDirection& light = lit->light;
+  if (lit->seen.size() > 1 && light.position) lampDistance_ = light.position->norm();
   const auto cell = coverage_.cellOf(light.direction);
   if (!cell) return Refusal::kOutsideGrid;
   if (coverage_.captured(*cell)) return Refusal::kNotNew;
@@ -403,23 +468,26 @@ Result<Refusal> Recording::judge(const Frame& frame) {
 
   FrameRecord record;
   record.light = light;
-  record.lampPixels.push_back({rig_.sourceCameras.front().camera.empty()
-                                   ? sourceCamera_.info().address
-                                   : rig_.sourceCameras.front().camera,
-                               paired->lamp.pixel, paired->lamp.covariance});
-  record.calibrationId = calibrationId_;
+  for (const SeenLamp& seen : lit->seen) {
+    const SourceStream& source = *sources_[seen.camera];
+    record.lampPixels.push_back({source.name, seen.lamp.pixel, seen.lamp.covariance});
+    record.calibrationId += (record.calibrationId.empty() ? "" : "+") + source.calibrationId;
+  }
+  if (light.position)
+    record.lampScale.fill(lampFallOff(light.position->norm(), referenceDistance(rig_)));
   record.exposureSeconds = metadata.exposureSeconds;
   record.gainDb = metadata.gainDb;
   record.midExposureSeconds = secondsBefore_ + toSeconds(metadata.midExposure - *firstFrame_);
-  record.pairingErrorSeconds = std::min(paired->secondsToBefore, paired->secondsToAfter);
+  const PairedLamp& paired = lit->paired.front();
+  record.pairingErrorSeconds = std::min(paired.secondsToBefore, paired.secondsToAfter);
   record.saturatedFraction = linear.saturatedFraction;
   record.gates = {{"cell", *cell},
-                  {"lampMotionDegrees", motion.degrees()},
-                  {"sourceSecondsBefore", paired->secondsToBefore},
-                  {"sourceSecondsAfter", paired->secondsToAfter},
+                  {"lampMotionDegrees", lit->motion.degrees()},
+                  {"sourceSecondsBefore", paired.secondsToBefore},
+                  {"sourceSecondsAfter", paired.secondsToAfter},
                   {"timeUncertaintySeconds", toSeconds(metadata.timeUncertainty)},
-                  {"lampConfidence", paired->lamp.confidence},
-                  {"lampFlux", paired->lamp.flux}};
+                  {"lampConfidence", paired.lamp.confidence},
+                  {"lampFlux", paired.lamp.flux}};
   // A disk that cannot keep up costs this frame, not the stream; its direction stays open.
   if (writeQueue_.push({std::move(record), std::move(linear.radiance),
                         options_.keepRaw ? std::optional(frame) : std::nullopt})) {
@@ -429,19 +497,27 @@ Result<Refusal> Recording::judge(const Frame& frame) {
 }
 
 void Recording::guideOn(double seconds) {
-  state_.lampTrouble = history_.trouble();
-  if (const auto latest = history_.latest()) {
-    const Vector3d before = lightAtSubject(latest->first, rig_).direction;
-    const Vector3d now = lightAtSubject(latest->second, rig_).direction;
+  // One camera's view is enough to lead the person, at the distance that the lamp had last.
+  RigGeometry rig = rig_;
+  if (lampDistance_) rig.lampRadiusMetres = lampDistance_;
+  state_.lampDirection.reset();
+  state_.lamp.reset();
+  state_.lampTrouble = sources_.front()->history.trouble();
+  for (std::size_t i = 0; i < sources_.size() && !state_.lampDirection; ++i) {
+    const auto latest = sources_[i]->history.latest();
+    if (!latest) continue;
+    const auto before = lightAtSubject(std::array{SeenLamp{i, latest->first}}, rig);
+    const auto now = lightAtSubject(std::array{SeenLamp{i, latest->second}}, rig);
+    if (!before || !now) continue;
     const double dt = toSeconds(latest->second.time - latest->first.time);
-    plan_.update(coverage_, seconds, now, (now - before) / std::max(dt, 1e-3));
-    state_.lampDirection = now;
+    plan_.update(coverage_, seconds, now->direction,
+                 (now->direction - before->direction) / std::max(dt, 1e-3));
+    state_.lampDirection = now->direction;
     state_.lamp = latest->second;
-  } else {
-    plan_.updateUnseen(coverage_, seconds);
-    state_.lampDirection.reset();
-    state_.lamp.reset();
+    state_.lampCamera = static_cast<int>(i);
+    state_.lampTrouble.clear();
   }
+  if (!state_.lampDirection) plan_.updateUnseen(coverage_, seconds);
   for (const int cell : plan_.takeFailed()) coverage_.postpone(cell);
   if (const auto target = plan_.target()) {
     state_.nextDirection = coverage_.grid().directions()[static_cast<std::size_t>(*target)];
@@ -466,11 +542,15 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
   }
   std::jthread writer([this] { writeSketch(); });
   std::jthread judge([this] { judgeScene(); });
-  std::jthread tracker([this] { trackSource(); });
+  for (const auto& source : sources_) {
+    source->thread = std::jthread([this, &source = *source] { trackSource(source); });
+  }
   const auto finish = [&](bool drain) {
-    sourceQueue_.close(!drain);
-    if (tracker.joinable()) tracker.join();
-    history_.end();
+    for (const auto& source : sources_) source->queue.close(!drain);
+    for (const auto& source : sources_) {
+      if (source->thread.joinable()) source->thread.join();
+      source->history.end();
+    }
     sceneQueue_.close(!drain);
     if (judge.joinable()) judge.join();
     writeQueue_.close();
@@ -479,17 +559,25 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
 
   Result<void> started;
   {
-    // Source first, so that the first scene frames find their partners.
-    Streaming source{&sourceCamera_}, scene{&sceneCamera_};
-    started = sourceCamera_.start(
-        [this](Frame&& frame) { enqueue(sourceQueue_, lastSource_, std::move(frame)); },
-        [this](const Error& error) { cameraEnded("source", error); });
+    // Sources first, so that the first scene frames find their partners.
+    std::vector<std::unique_ptr<Streaming>> streaming;
+    for (const auto& source : sources_) {
+      streaming.push_back(std::make_unique<Streaming>(&source->camera));
+      started = source->camera.start(
+          [this, &source = *source](Frame&& frame) {
+            enqueue(source.queue, source.last, std::move(frame));
+          },
+          [this](const Error& error) { cameraEnded("source", error); });
+      if (!started) break;
+    }
+    streaming.push_back(std::make_unique<Streaming>(&sceneCamera_));
     if (started) {
       started = sceneCamera_.start(
           [this](Frame&& frame) { enqueue(sceneQueue_, lastScene_, std::move(frame)); },
           [this](const Error& error) { cameraEnded("scene", error); });
     }
-    lastScene_ = lastSource_ = Clock::now().time_since_epoch().count();
+    lastScene_ = Clock::now().time_since_epoch().count();
+    for (const auto& source : sources_) source->last = lastScene_.load();
     while (started) {
       std::unique_lock lock(mutex_);
       if (changed_.wait_for(lock, std::chrono::milliseconds(50),
@@ -508,12 +596,14 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
                                                      camera.info().address, kSilenceSeconds)});
       };
       if (silent(lastScene_)) silence("scene", sceneCamera_);
-      if (silent(lastSource_)) silence("source", sourceCamera_);
+      for (const auto& source : sources_) {
+        if (silent(source->last)) silence("source", source->camera);
+      }
     }
     guide_.stop();
     // Frames that were sent before a camera ended are judged; after any other end nobody waits.
     summary_.scene = sceneCamera_.statistics();
-    summary_.source = sourceCamera_.statistics();
+    for (const auto& source : sources_) summary_.sources.push_back(source->camera.statistics());
   }
   bool drain;
   {
@@ -539,7 +629,8 @@ RecorderSummary Recording::summarise() {
   summary_.coverage = coverage_.fraction();
   summary_.seconds = toSeconds(Clock::now() - start_);
   if (firstFrame_) summary_.timeZero = *firstFrame_ - fromSeconds(secondsBefore_);
-  summary_.droppedByQueues = sceneQueue_.refused() + sourceQueue_.refused() + writeQueue_.refused();
+  summary_.droppedByQueues = sceneQueue_.refused() + writeQueue_.refused();
+  for (const auto& source : sources_) summary_.droppedByQueues += source->queue.refused();
   return summary_;
 }
 
@@ -605,6 +696,10 @@ std::string describe(Refusal refusal) {
       return "no source frames at its time";
     case Refusal::kOutsideGrid:
       return "below the wanted directions";
+    case Refusal::kBeyondCalibration:
+      return "beyond the calibrated field";
+    case Refusal::kUncertain:
+      return "light's direction too uncertain";
   }
   return "unknown";
 }
@@ -626,22 +721,24 @@ std::string RecorderSummary::describe() const {
         name, s.delivered, s.incomplete, s.lost, s.packetsReceived, s.packetsMissing,
         s.packetsResent);
   };
-  text += link("scene", scene) + link("source", source);
+  text += link("scene", scene);
+  for (const StreamStatistics& source : sources) text += link("source", source);
   text +=
       fmt::format("\n{} frames dropped because the program could not keep up\n", droppedByQueues);
   return text;
 }
 
-Result<RecorderSummary> record(Camera& sceneCamera, Camera& sourceCamera,
-                               std::shared_ptr<const CameraModel> sourceModel,
+Result<RecorderSummary> record(Camera& sceneCamera, std::span<const SourceCamera> sources,
                                const RigGeometry& rig, const std::filesystem::path& sketchFolder,
                                const RecorderOptions& options, Progress& progress,
                                std::stop_token stop,
                                std::function<void(const RecorderState&)> onState) {
   RETURN_IF_ERROR(validate(options));
-  if (!sourceModel || rig.sourceCameras.empty()) {
+  if (sources.empty() || sources.size() != rig.sourceCameras.size()) {
     return failure(ErrorCode::kInvalidArgument,
-                   "a source camera's model and pose are needed; see --camera-model and --rig");
+                   "{} source camera(s), but the rig holds poses of {}; every source camera needs "
+                   "its own, see --rig",
+                   sources.size(), rig.sourceCameras.size());
   }
   ASSIGN_OR_RETURN(auto grid, gridFor(options));
 
@@ -649,13 +746,20 @@ Result<RecorderSummary> record(Camera& sceneCamera, Camera& sourceCamera,
   wanted.framesPerSecond = options.framesPerSecond;
   wanted.exposureSeconds = options.sourceExposureSeconds;
   wanted.gainDb = options.sourceGainDb;
-  ASSIGN_OR_RETURN(const CameraSettings source, sourceCamera.configure(wanted));
-  if (source.region && (source.region->width != sourceModel->width() ||
-                        source.region->height != sourceModel->height())) {
-    return failure(ErrorCode::kInvalidArgument,
-                   "source camera {} sends {} x {} pixels, but its model is for {} x {}",
-                   sourceCamera.info().address, source.region->width, source.region->height,
-                   sourceModel->width(), sourceModel->height());
+  for (const SourceCamera& source : sources) {
+    if (!source.model) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "source camera {} has no model; see --camera-model",
+                     source.camera.info().address);
+    }
+    ASSIGN_OR_RETURN(const CameraSettings settings, source.camera.configure(wanted));
+    if (settings.region && (settings.region->width != source.model->width() ||
+                            settings.region->height != source.model->height())) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "source camera {} sends {} x {} pixels, but its model is for {} x {}",
+                     source.camera.info().address, settings.region->width, settings.region->height,
+                     source.model->width(), source.model->height());
+    }
   }
   wanted.exposureSeconds = options.sceneExposureSeconds;
   wanted.gainDb = options.sceneGainDb;
@@ -674,23 +778,28 @@ Result<RecorderSummary> record(Camera& sceneCamera, Camera& sourceCamera,
   manifest.fullSphere = options.fullSphere;
   manifest.ambientSubtracted = options.subtractAmbient && options.ambientSeconds > 0;
   manifest.software = "lightsketch " LIGHTSKETCH_VERSION;
-  manifest.cameras =
-      Json::array({describe("scene", sceneCamera.info()), describe("source", sourceCamera.info())});
+  manifest.cameras = Json::array({describe("scene", sceneCamera.info())});
+  for (const SourceCamera& source : sources) {
+    manifest.cameras.push_back(describe("source", source.camera.info()));
+  }
   manifest.provenance = {{"method", "recorded"},
                          {"referenceExposureSeconds", *scene.exposureSeconds},
                          {"referenceGainDb", scene.gainDb.value_or(0)},
+                         {"referenceDistanceMetres", referenceDistance(rig)},
                          {"demosaic", "Malvar, He and Cutler 2004"}};
   auto opened = goOn ? openToGoOn(sketchFolder, options, manifest.width, manifest.height, rig)
                      : Sketch::create(sketchFolder, manifest, rig);
   ASSIGN_OR_RETURN(Sketch sketch, std::move(opened));
-  RETURN_IF_ERROR(keepModel(sketchFolder, *sourceModel));
+  for (const SourceCamera& source : sources) {
+    RETURN_IF_ERROR(keepModel(sketchFolder, *source.model));
+  }
 
   Coverage coverage(std::move(grid));
   for (const int id : sketch.activeFrames()) {
     coverage.add(sketch.frames()[static_cast<std::size_t>(id)].light.direction);
   }
-  Recording recording(sceneCamera, sourceCamera, std::move(sourceModel), rig, options, progress,
-                      std::move(onState), std::move(sketch), std::move(coverage), scene);
+  Recording recording(sceneCamera, sources, rig, options, progress, std::move(onState),
+                      std::move(sketch), std::move(coverage), scene);
   if (goOn) RETURN_IF_ERROR(recording.resume());
   return recording.run(stop);
 }

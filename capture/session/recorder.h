@@ -9,8 +9,10 @@
 #include <map>
 #include <memory>
 #include <optional>
+#include <span>
 #include <stop_token>
 #include <string>
+#include <vector>
 
 #include "calibration/model/camera_model.h"
 #include "calibration/model/rig_geometry.h"
@@ -26,12 +28,14 @@ namespace lightsketch {
 // Why a scene frame was not kept.
 enum class Refusal {
   kNone,
-  kLampNotSeen,  // lost, covered or ambiguous at the frame's time
-  kLampTooFast,  // it moved more than allowed during the exposure
-  kSaturated,    // too many saturated pixels in the scene frame
-  kNotNew,       // the direction's cell is captured already
-  kUnpaired,     // no source frames close enough in time on both sides
-  kOutsideGrid,  // below the hemisphere that is wanted
+  kLampNotSeen,        // lost, covered or ambiguous at the frame's time
+  kLampTooFast,        // it moved more than allowed during the exposure
+  kSaturated,          // too many saturated pixels in the scene frame
+  kNotNew,             // the direction's cell is captured already
+  kUnpaired,           // no source frames close enough in time on both sides
+  kOutsideGrid,        // below the hemisphere that is wanted
+  kBeyondCalibration,  // where no board was when the lens was calibrated
+  kUncertain,          // the light's direction at the subject is not known well enough
 };
 std::string describe(Refusal refusal);  // "lamp too fast"
 
@@ -43,6 +47,11 @@ struct RecorderOptions {
   Angle maxLampMotion = Angle::degrees(1.0);  // during one scene exposure
   double maxSaturatedFraction = 0.02;
   double maxPairingSeconds = 0.15;  // source frames further away than this do not pair
+  // One sigma of the light's direction at the subject, along its worst axis.
+  Angle maxDirectionSigma = Angle::degrees(1.0);
+  // For recordings that poses are to be found from: each frame's direction is that of the first
+  // camera that sees the lamp, taken as far away, and nothing is refused for where the lamp is.
+  bool posesUnknown = false;
   // At the start, with the lamp off: the ambient light is averaged over this time, counted from
   // when the scene is at its darkest, and the tracker learns the lights of the room. 0: no such
   // phase.
@@ -72,7 +81,7 @@ struct RecorderSummary {
   std::map<Refusal, int> refusals;
   std::uint64_t droppedByQueues = 0;  // frames the program could not keep up with
   StreamStatistics scene;
-  StreamStatistics source;
+  std::vector<StreamStatistics> sources;
   std::string describe() const;  // a few lines
 };
 
@@ -81,11 +90,18 @@ struct RecorderState {
   bool lampWantedOff = false;  // the ambient frame is being taken
   std::optional<Eigen::Vector3d> nextDirection;
   std::optional<Eigen::Vector3d> lampDirection;  // where it is now, scene frame
-  std::optional<LampObservation> lamp;           // the same as the source camera saw it
+  std::optional<LampObservation> lamp;           // the same as a source camera saw it,
+  int lampCamera = 0;                            // and which
   std::string lampTrouble;                       // why it is not seen now; empty if it is
   Refusal lastRefusal = Refusal::kNone;
   int recorded = 0;
   double coverage = 0;
+};
+
+// A source camera and its lens.
+struct SourceCamera {
+  Camera& camera;
+  std::shared_ptr<const CameraModel> model;
 };
 
 // Blocks until the coverage goal, the time limit, the end of a camera, `stop` or a cancelled
@@ -96,14 +112,16 @@ struct RecorderState {
 //
 // Cameras with the features GuideMode, GuideX/Y/Z (the simulated rig) are told where to go; for
 // others the lamp is expected to be off for the first `ambientSeconds`
-// (RecorderState::lampWantedOff says so) and then to follow RecorderState::nextDirection. With a
-// lampRadiusMetres the lamp is taken to be on that sphere about the subject; without, it is taken
-// to be far away.
+// (RecorderState::lampWantedOff says so) and then to follow RecorderState::nextDirection.
 //
-// Fails if the cameras, the model and the sketch do not fit, if a write fails (whole frames stay),
+// `rig.sourceCameras` are the poses of `sources`, in their order. Where two or more see the lamp,
+// its position is triangulated; where one does, it is taken to be on the sphere of lampRadiusMetres
+// about the subject, or far away if there is none. With a known position, lampScale holds the
+// fall-off against the reference distance (lampRadiusMetres, else 1 m).
+//
+// Fails if the cameras, the models and the sketch do not fit, if a write fails (whole frames stay),
 // or if a camera is lost before any frame was recorded.
-Result<RecorderSummary> record(Camera& sceneCamera, Camera& sourceCamera,
-                               std::shared_ptr<const CameraModel> sourceModel,
+Result<RecorderSummary> record(Camera& sceneCamera, std::span<const SourceCamera> sources,
                                const RigGeometry& rig, const std::filesystem::path& sketchFolder,
                                const RecorderOptions& options, Progress& progress,
                                std::stop_token stop = {},

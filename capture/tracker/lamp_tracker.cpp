@@ -427,6 +427,7 @@ LampObservation LampTracker::State::observe(const Track& track, const Candidate&
   seen.spreadPixels = std::sqrt(candidate.blob.moments.trace());
   seen.flux = candidate.blob.flux;
   seen.directionInSource = candidate.direction;
+  seen.originInSource = model->rayOrigin(candidate.direction);
 
   // Noise; a twentieth of the spot's size, for what a saturated core hides; as much of the size as
   // the brightness deviates, for a lamp covered a little; and the motion while the shutter was
@@ -440,6 +441,8 @@ LampObservation LampTracker::State::observe(const Track& track, const Candidate&
   const Matrix3d tangent =
       Matrix3d::Identity() - candidate.direction * candidate.direction.transpose();
   seen.directionCovariance = tangent * covariance * tangent;
+  seen.directionCovariance += model->directionCovariance(candidate.direction);
+  seen.beyondCalibration = !model->covers(candidate.direction);
 
   double rival = -3;
   for (const Candidate& other : all) {

@@ -14,14 +14,17 @@
 namespace lightsketch {
 
 struct LampObservation {
-  TimePoint time;                       // mid-exposure
-  Eigen::Vector2d pixel;                // sub-pixel centroid
-  Eigen::Matrix2d covariance;           // pixels^2, one sigma
-  double spreadPixels = 0;              // rms radius of the blob
-  double flux = 0;                      // sum of the blob above background, in units of saturation
-  double confidence = 0;                // 0..1
-  Eigen::Vector3d directionInSource;    // unit, source camera frame, from the camera to the lamp
-  Eigen::Matrix3d directionCovariance;  // rank 2, radians^2
+  TimePoint time;                     // mid-exposure
+  Eigen::Vector2d pixel;              // sub-pixel centroid
+  Eigen::Matrix2d covariance;         // pixels^2, one sigma
+  double spreadPixels = 0;            // rms radius of the blob
+  double flux = 0;                    // sum of the blob above background, in units of saturation
+  double confidence = 0;              // 0..1
+  Eigen::Vector3d directionInSource;  // unit, source camera frame, from the camera to the lamp
+  // A point of that ray, metres; not 0 for a lens whose pupil moves.
+  Eigen::Vector3d originInSource = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d directionCovariance;  // rank 2, radians^2; pixel noise and the lens's own
+  bool beyondCalibration = false;       // the lens was never calibrated there; do not trust it
 };
 
 enum class TrackState {

@@ -1,4 +1,6 @@
 // Cameras, the simulated rig, recording.
+#include <array>
+#include <span>
 #include <thread>
 #include <utility>
 
@@ -18,14 +20,20 @@ Eigen::Isometry3d uprightAtSubject() {
 }
 
 Result<RecorderSummary> recordFrom(const RecordJob& job,
-                                   const std::shared_ptr<const CameraModel>& model,
-                                   const RigGeometry& geometry, Progress& progress,
-                                   std::stop_token stop,
+                                   std::span<const std::shared_ptr<const CameraModel>> models,
+                                   RigGeometry geometry, Progress& progress, std::stop_token stop,
                                    const std::function<void(const RecorderState&)>& onState) {
+  if (job.lampRadiusMetres) geometry.lampRadiusMetres = job.lampRadiusMetres;
   ASSIGN_OR_RETURN(const auto scene, openCamera(job.sceneCamera));
-  ASSIGN_OR_RETURN(const auto source, openCamera(job.sourceCamera));
-  return record(*scene, *source, model, geometry, job.sketch, job.recorder, progress,
-                std::move(stop), onState);
+  std::vector<std::unique_ptr<Camera>> cameras;
+  std::vector<SourceCamera> sources;
+  for (std::size_t i = 0; i < job.sourceCameras.size(); ++i) {
+    ASSIGN_OR_RETURN(auto camera, openCamera(job.sourceCameras[i]));
+    cameras.push_back(std::move(camera));
+    sources.push_back({*cameras.back(), models[i]});
+  }
+  return record(*scene, sources, geometry, job.sketch, job.recorder, progress, std::move(stop),
+                onState);
 }
 
 JobResult resultOf(const RecordJob& job, const RecorderSummary& summary) {
@@ -39,6 +47,8 @@ JobResult resultOf(const RecordJob& job, const RecorderSummary& summary) {
                 {"packetsMissing", link.packetsMissing},
                 {"packetsResent", link.packetsResent}};
   };
+  Json sources = Json::array();
+  for (const StreamStatistics& link : summary.sources) sources.push_back(linkToJson(link));
   return {fmt::format("{}: {}", job.sketch.string(), summary.describe()),
           {{"recorded", summary.recorded},
            {"offered", summary.offered},
@@ -47,7 +57,7 @@ JobResult resultOf(const RecordJob& job, const RecorderSummary& summary) {
            {"refusals", refusals},
            {"droppedByQueues", summary.droppedByQueues},
            {"scene", linkToJson(summary.scene)},
-           {"source", linkToJson(summary.source)}}};
+           {"sources", sources}}};
 }
 
 }  // namespace
@@ -100,15 +110,15 @@ Result<RecorderSummary> recordOnRig(const RecordJob& job, const SimulatedRigOpti
                                     const std::function<void(const RecorderState&)>& onState) {
   RecordJob onRig = job;
   onRig.sceneCamera = "aravis:" + options.sceneAddress;
-  onRig.sourceCamera = "aravis:" + options.sourceAddress;
+  onRig.sourceCameras = {"aravis:" + options.sourceAddress};
   onRig.recorder.sceneBlackLevel = sceneBlackLevelCounts(job.recorder.sceneFormat);
-  return recordFrom(onRig, rig.calibratedSourceModel(), rig.geometry(), progress, std::move(stop),
-                    onState);
+  return recordFrom(onRig, std::array{rig.calibratedSourceModel()}, rig.geometry(), progress,
+                    std::move(stop), onState);
 }
 
 Result<JobResult> recordJob(const RecordJob& job, Progress& progress, std::stop_token stop,
                             const std::function<void(const RecorderState&)>& onState) {
-  if (job.sceneCamera.empty() != job.sourceCamera.empty()) {
+  if (job.sceneCamera.empty() != job.sourceCameras.empty()) {
     return failure(
         ErrorCode::kInvalidArgument,
         "record: name both cameras, --scene and --source, or neither for the simulated rig");
@@ -120,20 +130,30 @@ Result<JobResult> recordJob(const RecordJob& job, Progress& progress, std::stop_
                      recordOnRig(job, job.simulatedRig, *rig, progress, std::move(stop), onState));
     return resultOf(job, summary);
   }
-  if (job.cameraModel.empty()) {
+  if (job.cameraModels.size() != job.sourceCameras.size()) {
     return failure(ErrorCode::kInvalidArgument,
-                   "record: --camera-model is missing; without the source camera's calibration a "
-                   "pixel has no direction");
+                   "record: {} source camera(s) and {} --camera-model(s); without its calibration "
+                   "a source camera's pixels have no direction",
+                   job.sourceCameras.size(), job.cameraModels.size());
   }
-  ASSIGN_OR_RETURN(const auto model, loadCameraModel(job.cameraModel));
+  std::vector<std::shared_ptr<const CameraModel>> models;
+  for (const auto& path : job.cameraModels) {
+    ASSIGN_OR_RETURN(auto model, loadCameraModel(path));
+    models.push_back(std::move(model));
+  }
   RigGeometry geometry;
-  geometry.sceneCamera.camera = job.sceneCamera;
-  geometry.sourceCameras.push_back({job.sourceCamera, uprightAtSubject()});
   if (!job.rigGeometry.empty()) {
     ASSIGN_OR_RETURN(geometry, loadRigGeometry(job.rigGeometry));
+  } else if (job.sourceCameras.size() > 1) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "record: two source cameras need their poses, --rig; `lightsketch calibrate "
+                   "pose` finds them");
+  } else {
+    geometry.sceneCamera.camera = job.sceneCamera;
+    geometry.sourceCameras.push_back({job.sourceCameras.front(), uprightAtSubject(), {}});
   }
   ASSIGN_OR_RETURN(const auto summary,
-                   recordFrom(job, model, geometry, progress, std::move(stop), onState));
+                   recordFrom(job, models, geometry, progress, std::move(stop), onState));
   return resultOf(job, summary);
 }
 

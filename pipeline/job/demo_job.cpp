@@ -163,17 +163,17 @@ Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_toke
   const double seconds = toSeconds(Clock::now() - begin);
   const auto& summary = recorded;
   JobResult result;
-  result.figures =
-      Json{{"recorded", summary.recorded},
-           {"coverage", summary.coverage},
-           {"recordingSeconds", summary.seconds},
-           {"packetsReceived", summary.scene.packetsReceived + summary.source.packetsReceived},
-           {"directionErrorDegrees",
-            {{"median", directions.medianDegrees},
-             {"p95", directions.p95Degrees},
-             {"max", directions.maxDegrees}}},
-           {"validation", toJson(report)},
-           {"seconds", seconds}};
+  result.figures = Json{
+      {"recorded", summary.recorded},
+      {"coverage", summary.coverage},
+      {"recordingSeconds", summary.seconds},
+      {"packetsReceived", summary.scene.packetsReceived + summary.sources.front().packetsReceived},
+      {"directionErrorDegrees",
+       {{"median", directions.medianDegrees},
+        {"p95", directions.p95Degrees},
+        {"max", directions.maxDegrees}}},
+      {"validation", toJson(report)},
+      {"seconds", seconds}};
   RETURN_IF_ERROR(writeJsonFile(out / "demo.json", result.figures));
   RETURN_IF_ERROR(folder.commit());
   if (replace) {
@@ -195,8 +195,8 @@ Result<JobResult> demoJob(const DemoJob& job, Progress& progress, std::stop_toke
       line("grid covered", fmt::format("{:.1f} % of {}", 100 * summary.coverage, job.directions)) +
       line("frames over GVSP",
            fmt::format("{} scene, {} source ({} packets)", summary.scene.delivered,
-                       summary.source.delivered,
-                       summary.scene.packetsReceived + summary.source.packetsReceived)) +
+                       summary.sources.front().delivered,
+                       summary.scene.packetsReceived + summary.sources.front().packetsReceived)) +
       line("lamp direction error",
            fmt::format("median {:.3f}, 95 % {:.3f}, worst {:.3f} degrees (rig's truth)",
                        directions.medianDegrees, directions.p95Degrees, directions.maxDegrees)) +

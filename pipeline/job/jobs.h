@@ -43,9 +43,10 @@ Result<JobResult> rigJob(const RigJob& job, const std::function<void(const std::
 // Records a sketch. With neither camera named, the simulated rig is started and recorded.
 struct RecordJob {
   std::string sceneCamera;
-  std::string sourceCamera;
-  std::filesystem::path cameraModel;
-  std::filesystem::path rigGeometry;  // empty: the source camera stands upright at the subject
+  std::vector<std::string> sourceCameras;
+  std::vector<std::filesystem::path> cameraModels;  // of the source cameras, in their order
+  std::filesystem::path rigGeometry;  // empty: the one source camera stands upright at the subject
+  std::optional<double> lampRadiusMetres;  // in place of the rig's
   std::filesystem::path sketch;
   RecorderOptions recorder;
   SimulatedRigOptions simulatedRig;

@@ -213,8 +213,19 @@ struct Commands {
             "lightsketch record --scene aravis:192.168.1.20 --source aravis:192.168.1.21 "
             "--camera-model source.json --directions 300 --out vase");
     command->add_option("--scene", record_.sceneCamera, "scene camera, e.g. aravis:192.168.1.20");
-    command->add_option("--source", record_.sourceCamera, "fisheye source camera");
-    command->add_option("--camera-model", record_.cameraModel, "calibration of the source camera");
+    command
+        ->add_option("--source", record_.sourceCameras,
+                     "fisheye source camera; may be repeated: two that see the lamp tell its "
+                     "distance")
+        ->allow_extra_args(false);
+    command
+        ->add_option("--camera-model", record_.cameraModels,
+                     "calibration of the source camera; one for each, in their order")
+        ->allow_extra_args(false);
+    command
+        ->add_option("--lamp-radius", record_.lampRadiusMetres,
+                     "metres from the subject at which the lamp is held, for one source camera")
+        ->check(CLI::PositiveNumber);
     command->add_option("--rig", record_.rigGeometry, "poses of the cameras (rig.json)");
     command->add_option("--out", record_.sketch, "the sketch, a folder")->required();
     auto& recorder = record_.recorder;

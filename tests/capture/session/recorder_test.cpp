@@ -34,8 +34,8 @@ class Recorder : public testing::Test {
 
   Result<RecorderSummary> run(FakeRig& rig,
                               std::function<void(const RecorderState&)> onState = {}) {
-    return record(rig.scene(), rig.source(), rig.model(), rig.geometry(), folder_, options_,
-                  progress_, stop_.get_token(), std::move(onState));
+    return record(rig.scene(), std::array{SourceCamera{rig.source(), rig.model()}}, rig.geometry(),
+                  folder_, options_, progress_, stop_.get_token(), std::move(onState));
   }
   // Stops the recording once so many scene frames were judged, then says why they were refused.
   std::map<Refusal, int> refusalsAfter(FakeRig& rig, int frames,

@@ -67,8 +67,8 @@ TEST(RigRecording, DirectionsAreTrueAndNoReflectionIsEverAccepted) {
   TimePoint last{};
   SilentProgress progress;
   const auto summary = record(
-      **scene, **source, (*rig)->calibratedSourceModel(), (*rig)->geometry(), folder, options,
-      progress, {}, [&](const RecorderState& state) {
+      **scene, std::array{SourceCamera{**source, (*rig)->calibratedSourceModel()}},
+      (*rig)->geometry(), folder, options, progress, {}, [&](const RecorderState& state) {
         if (!state.lampTrouble.empty()) ++troubles[state.lampTrouble];
         if (!state.lamp || state.lamp->time == last) return;
         last = state.lamp->time;
