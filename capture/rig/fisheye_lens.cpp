@@ -15,27 +15,6 @@ using Eigen::Matrix2d;
 using Eigen::Vector2d;
 using Eigen::Vector3d;
 
-constexpr double kFocalX = 344.6;
-constexpr double kFocalY = 345.1;
-constexpr double kCentreX = 483.7;
-constexpr double kCentreY = 476.2;
-constexpr double kRipple = 0.0007;
-constexpr double kSqueeze = 0.00005;
-
-Vector2d projectUnbounded(const Vector3d& direction) {
-  const double radius = std::hypot(direction.x(), direction.y());
-  const double theta = std::atan2(radius, direction.z());
-  const double c = radius > 1e-14 ? direction.x() / radius : 1;
-  const double s = radius > 1e-14 ? direction.y() / radius : 0;
-  const double cos3 = c * (4 * c * c - 3);  // cosine of three times the azimuth
-  const double d = (1.62 * std::sin(theta / 1.62) + kRipple * theta * std::sin(5.5 * theta)) *
-                   (1 + kSqueeze * theta * theta * cos3);
-  // Decentring that grows with the angle itself, unlike Brown's, which grows with d squared.
-  const double x = d * c + 0.0002 * theta * theta * (1 + 0.6 * c * s);
-  const double y = d * s - 0.0003 * theta * theta * (1 + 0.6 * s * s);
-  return {kFocalX * x + kCentreX, kFocalY * y + kCentreY};
-}
-
 Vector3d directionAt(double theta, double azimuth) {
   return {std::sin(theta) * std::cos(azimuth), std::sin(theta) * std::sin(azimuth),
           std::cos(theta)};
@@ -62,6 +41,22 @@ FisheyeParameters parametersOf(const Unknowns& u) {
 
 }  // namespace
 
+Vector2d FisheyeLens::projectUnbounded(const Vector3d& direction) const {
+  const FisheyeLensShape& l = shape_;
+  const double radius = std::hypot(direction.x(), direction.y());
+  const double theta = std::atan2(radius, direction.z());
+  const double c = radius > 1e-14 ? direction.x() / radius : 1;
+  const double s = radius > 1e-14 ? direction.y() / radius : 0;
+  const double cos3 = c * (4 * c * c - 3);  // cosine of three times the azimuth
+  const double d =
+      (l.bend * std::sin(theta / l.bend) + l.ripple * theta * std::sin(l.rippleFrequency * theta)) *
+      (1 + l.squeeze * theta * theta * cos3);
+  // Decentring that grows with the angle itself, unlike Brown's, which grows with d squared.
+  const double x = d * c + l.decentreX * theta * theta * (1 + 0.6 * c * s);
+  const double y = d * s + l.decentreY * theta * theta * (1 + 0.6 * s * s);
+  return {l.focalX * x + l.centreX, l.focalY * y + l.centreY};
+}
+
 std::optional<Vector2d> FisheyeLens::project(const Vector3d& direction) const {
   const double theta = std::atan2(std::hypot(direction.x(), direction.y()), direction.z());
   if (!(theta <= kMaxFieldAngle.radians())) return std::nullopt;
@@ -69,7 +64,8 @@ std::optional<Vector2d> FisheyeLens::project(const Vector3d& direction) const {
 }
 
 Vector3d FisheyeLens::unprojectUnbounded(const Vector2d& pixel) const {
-  const Vector2d n((pixel.x() - kCentreX) / kFocalX, (pixel.y() - kCentreY) / kFocalY);
+  const Vector2d n((pixel.x() - shape_.centreX) / shape_.focalX,
+                   (pixel.y() - shape_.centreY) / shape_.focalY);
   Vector3d direction = directionAt(std::min(n.norm() * 1.1, 1.7), std::atan2(n.y(), n.x()));
   // Newton's method on the tangent plane of the current direction.
   for (int i = 0; i < 30; ++i) {

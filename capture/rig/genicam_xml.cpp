@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include "capture/rig/rig_program.h"
+
 namespace lightsketch::gige {
 namespace {
 
@@ -79,7 +81,8 @@ constexpr std::string_view kHead = R"(<?xml version="1.0" encoding="utf-8"?>
 <Category Name="TransportLayerControl"><pFeature>PayloadSize</pFeature>
 <pFeature>GevSCPSPacketSize</pFeature></Category>
 <Category Name="LampControl"><pFeature>GuideMode</pFeature><pFeature>GuideX</pFeature>
-<pFeature>GuideY</pFeature><pFeature>GuideZ</pFeature></Category>
+<pFeature>GuideY</pFeature><pFeature>GuideZ</pFeature>
+<pFeature>RigProgram</pFeature></Category>
 <Port Name="Device"></Port>
 <Integer Name="TLParamsLocked"><Visibility>Invisible</Visibility><Value>0</Value><Min>0</Min>
 <Max>1</Max></Integer>
@@ -137,6 +140,7 @@ std::string genicamXml(std::span<const PixelFormat> formats) {
   xml += real("GuideX", kGuideX, -1, 1, "");
   xml += real("GuideY", kGuideY, -1, 1, "");
   xml += real("GuideZ", kGuideZ, -1, 1, "");
+  xml += real("RigProgram", kRigProgram, 0, kRigProgramCount - 1, "");
   xml += "</RegisterDescription>\n";
   xml.resize((xml.size() + 3) / 4 * 4, ' ');
   return xml;

@@ -62,6 +62,7 @@ inline constexpr std::uint32_t kGuideMode = 0x1058;  // 0, 1, 2
 inline constexpr std::uint32_t kGuideX = 0x1060;
 inline constexpr std::uint32_t kGuideY = 0x1068;
 inline constexpr std::uint32_t kGuideZ = 0x1070;
+inline constexpr std::uint32_t kRigProgram = 0x1078;  // 0 to 5, see rig_program.h
 inline constexpr std::uint32_t kRegistersEnd = 0x1080;
 inline constexpr std::uint32_t kXml = 0x10000;
 

@@ -235,6 +235,7 @@ struct GigeDevice::State {
   TimePoint lastHeartbeat;
   std::uint64_t acquisition = 0;  // counts starts and stops: a frame of an older one is not sent
   std::optional<Guide> pendingGuide;
+  std::optional<RigProgram> pendingProgram;
 
   std::mutex cacheMutex;  // Guards cache.
   std::deque<std::shared_ptr<const SentFrame>> cache;
@@ -324,6 +325,7 @@ Result<void> GigeDevice::State::open() {
   putDouble(r, gige::kExposureTime, exposureUs);
   putDouble(r, gige::kFrameRate, options.defaultFramesPerSecond);
   putDouble(r, gige::kGuideZ, 1);
+  putDouble(r, gige::kRigProgram, static_cast<double>(options.program));
   afterWrite(gige::kWidth, {});
   if (!acceptable(r)) {
     return failure(ErrorCode::kInvalidArgument,
@@ -445,7 +447,8 @@ Status GigeDevice::State::write(std::uint32_t address, View value, const sockadd
       kAcquisition,      kExposureTime,     kExposureTime + 4, kGain,
       kGain + 4,         kFrameRate,        kFrameRate + 4,    kGuideMode,
       kGuideMode + 4,    kGuideX,           kGuideX + 4,       kGuideY,
-      kGuideY + 4,       kGuideZ,           kGuideZ + 4};
+      kGuideY + 4,       kGuideZ,           kGuideZ + 4,       kRigProgram,
+      kRigProgram + 4};
   static constexpr std::array kWhileStopped = {
       kWidth,      kHeight,           kOffsetX,           kOffsetY,      kPixelFormat,
       kStreamPort, kStreamPacketSize, kStreamPacketDelay, kStreamAddress};
@@ -496,9 +499,9 @@ bool GigeDevice::State::acceptable(View r) const {
          within(kExposureTime, kMinExposureUs, kMaxExposureUs) && within(kGain, 0, kMaxGainDb) &&
          within(kFrameRate, kMinFrameRate, kMaxFrameRate) && within(kGuideMode, 0, 2) &&
          within(kGuideX, -1, 1) && within(kGuideY, -1, 1) && within(kGuideZ, -1, 1) &&
-         packetSize >= kMinPacketSize && packetSize <= kMaxPacketSize &&
-         get32(r, kHeartbeatTimeout) >= 500 && get32(r, kAcquisition) <= 1 &&
-         get32(r, kAcquisitionMode) == 0;
+         within(kRigProgram, 0, kRigProgramCount - 1) && packetSize >= kMinPacketSize &&
+         packetSize <= kMaxPacketSize && get32(r, kHeartbeatTimeout) >= 500 &&
+         get32(r, kAcquisition) <= 1 && get32(r, kAcquisitionMode) == 0;
 }
 
 // What a write sets off beyond its register.
@@ -545,6 +548,9 @@ void GigeDevice::State::afterWrite(std::uint32_t address, const sockaddr_in& fro
                             getDouble(registers, kGuideZ)}};
       break;
     }
+    case kRigProgram + 4:
+      pendingProgram = static_cast<RigProgram>(std::lround(getDouble(registers, kRigProgram)));
+      break;
     default:
       break;
   }
@@ -597,7 +603,15 @@ void GigeDevice::State::frameLoop(std::stop_token stop) {
   std::uint64_t current = 0;  // acquisition
   TimePoint next;
   std::unique_lock lock(mutex);
-  while (changed.wait(lock, stop, [&] { return pendingGuide || streaming(); })) {
+  const auto told = [&] { return pendingGuide || pendingProgram; };
+  while (changed.wait(lock, stop, [&] { return told() || streaming(); })) {
+    if (pendingProgram) {
+      const RigProgram program = *std::exchange(pendingProgram, std::nullopt);
+      lock.unlock();
+      source.startProgram(program);
+      lock.lock();
+      continue;
+    }
     if (pendingGuide) {
       const Guide guide = *std::exchange(pendingGuide, std::nullopt);
       lock.unlock();
@@ -610,8 +624,7 @@ void GigeDevice::State::frameLoop(std::stop_token stop) {
       next = Clock::now();
       nextId = options.firstFrameId;
     }
-    if (changed.wait_until(lock, stop, next,
-                           [&] { return pendingGuide || acquisition != current; })) {
+    if (changed.wait_until(lock, stop, next, [&] { return told() || acquisition != current; })) {
       continue;
     }
     if (stop.stop_requested()) return;

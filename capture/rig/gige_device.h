@@ -11,6 +11,7 @@
 
 #include "capture/frame/frame.h"
 #include "capture/frame/result.h"
+#include "capture/rig/rig_program.h"
 
 namespace lightsketch {
 
@@ -43,6 +44,8 @@ class FrameSource {
   virtual void expose(const ExposureRequest& request, std::vector<std::uint8_t>& bytes) = 0;
   // Called on the same thread as expose(), never during it, also while nothing streams.
   virtual void guide(const Guide&) {}
+  // The feature "RigProgram" was written, on any camera; like guide().
+  virtual void startProgram(RigProgram) {}
 };
 
 struct GigeDeviceOptions {
@@ -60,6 +63,7 @@ struct GigeDeviceOptions {
                                    // default socket buffer (208 KiB) keeps up
   double packetLoss = 0;           // fraction of packets not sent at first; resends are honoured
   std::uint32_t seed = 1;
+  RigProgram program = RigProgram::kLamp;  // what "RigProgram" says at first
 };
 
 // Runs on threads of its own from start() to destruction: one answers GVCP, one exposes and sends,

@@ -13,6 +13,7 @@ struct LampState {
   // How far the hand has slid between the lamp and the source camera: 0 not at all, 1 all of it.
   double cover = 0;
   Eigen::Vector3d position = Eigen::Vector3d::Zero();  // scene frame, metres
+  double power = 1;                                    // of its light, against the nominal one
 };
 
 class LampMotion {

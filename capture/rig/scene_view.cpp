@@ -357,10 +357,16 @@ float schlickFactor(const SurfacePoint& point, const Vector3f& toViewer) {
 
 }  // namespace
 
-struct SceneView::State {
-  State(std::shared_ptr<const StillLife> still, const Room& theRoom, LampMotion& theMotion,
-        std::uint32_t theSeed)
-      : stillLife(std::move(still)), room(theRoom), motion(theMotion), seed(theSeed) {}
+// One arrangement of things on the table, and all of its picture that does not change.
+struct SceneView::Tableau {
+  Tableau(std::shared_ptr<const StillLife> still, const Room& theRoom,
+          const std::optional<MirrorBall>& theBall)
+      : stillLife(std::move(still)),
+        room(theRoom),
+        focal(kWidth / 2.0 / std::tan(stillLife->horizontalField().radians() / 2)),
+        ball(theBall) {
+    prepare();
+  }
 
   // One point of a pixel and the share it has in it.
   struct Point {
@@ -375,28 +381,59 @@ struct SceneView::State {
   void addPixel(int x, int y, std::vector<Point>& points, std::vector<Point>& mirrored);
   void smoothSurroundings(const std::vector<Point*>& points);
   static void store(const std::vector<Point>& points, std::vector<Block>& blocks);
-  void traceLamp(const LampState& lamp, const LampPoints& lampPoints);
-  void addLight(const Block& block, const Lamp& lamp, const float* visible);
+  void traceLamp(const LampState& lamp, const LampPoints& lampPoints, RadianceImage& frame);
+  static void addLight(const Block& block, const Lamp& lamp, float power, const float* visible,
+                       RadianceImage& frame);
+  // The mirror image of a luminous ball in the chrome ball; it may move while the shutter is open.
+  void addHighlight(const Vector3d& from, const Vector3d& to, double radius,
+                    const Vector3f& radiance, RadianceImage& frame) const;
 
   std::shared_ptr<const StillLife> stillLife;
   const Room& room;
-  LampMotion& motion;
-  std::uint32_t seed;
+  double focal;  // pixels
+  std::optional<MirrorBall> ball;
   std::vector<Block> tiles;             // 4 x 4 pixels, one point each, lanes row by row
   std::vector<std::size_t> tilePlaces;  // where each lies in the grid of tiles
   std::vector<Light> tileLight;         // of the whole grid; scratch
   std::vector<Block> loose;             // every other point
   RadianceImage ambient{kWidth, kHeight, 3};
+  RadianceImage byWorkLight{kWidth, kHeight, 3};  // what the work light adds
+};
+
+struct SceneView::State {
+  State(std::shared_ptr<const StillLife> theStillLife, const Room& theRoom, LampMotion& theMotion,
+        std::uint32_t theSeed, const Play* thePlay)
+      : stillLife(std::move(theStillLife)),
+        room(theRoom),
+        motion(theMotion),
+        seed(theSeed),
+        play(thePlay) {
+    tableau(programAt(0).program);
+  }
+
+  ProgramLog::Entry programAt(double timeSeconds) const {
+    return play ? play->programs.at(timeSeconds) : ProgramLog::Entry{RigProgram::kLamp, 0};
+  }
+  Tableau& tableau(RigProgram program);
+  void showBoard(double programSeconds, double exposureSeconds);
+
+  std::shared_ptr<const StillLife> stillLife;
+  const Room& room;
+  LampMotion& motion;
+  std::uint32_t seed;
+  const Play* play;
+  std::unique_ptr<Tableau> ofStillLife, ofTable, ofBall;  // absent until shown
+  PixelCornerRays rays;                                   // empty until the board is shown
+  BoardLayer boardLayer;
   RadianceImage frame{kWidth, kHeight, 3};
   std::vector<float> signal;
 };
 
 // Points of one pixel: one for every smooth surface that four rays find in it. A glossy surface
 // adds what it mirrors as a point of its own; the room's mirror image goes to the ambient light.
-void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
-                                std::vector<Point>& mirrored) {
+void SceneView::Tableau::addPixel(int x, int y, std::vector<Point>& points,
+                                  std::vector<Point>& mirrored) {
   const auto& pose = stillLife->sceneFromCamera();
-  const double focal = kWidth / 2.0 / std::tan(stillLife->horizontalField().radians() / 2);
   const Vector3f eye = pose.translation().cast<float>();
   const std::int32_t pixel = y * kWidth + x;
 
@@ -473,7 +510,7 @@ void SceneView::State::addPixel(int x, int y, std::vector<Point>& points,
   }
 }
 
-void SceneView::State::store(const std::vector<Point>& points, std::vector<Block>& blocks) {
+void SceneView::Tableau::store(const std::vector<Point>& points, std::vector<Block>& blocks) {
   for (std::size_t start = 0; start < points.size(); start += kLanes) {
     Block& b = blocks.emplace_back();
     for (int i = 0; i < kLanes; ++i) {
@@ -498,7 +535,7 @@ void SceneView::State::store(const std::vector<Point>& points, std::vector<Block
         b.albedo[c][i] = s.albedo[c];
         b.specular[c][i] = s.specular[c];
         b.bounce[c][i] = p.surroundings.bounceColour[c] / closed;
-        b.weight[c][i] = p.weight[c];
+        b.weight[c][i] = s.mirror ? 0 : p.weight[c];
       }
       b.pixel[i] = start + static_cast<std::size_t>(i) < points.size() ? p.pixel : -1;
     }
@@ -507,7 +544,7 @@ void SceneView::State::store(const std::vector<Point>& points, std::vector<Block
 
 // The surroundings come from a few rays each: average them over neighbours on the same surface,
 // then add the ambient light.
-void SceneView::State::smoothSurroundings(const std::vector<Point*>& points) {
+void SceneView::Tableau::smoothSurroundings(const std::vector<Point*>& points) {
   std::vector<const Point*> at(static_cast<std::size_t>(kWidth) * kHeight, nullptr);
   for (const Point* p : points) at[static_cast<std::size_t>(p->pixel)] = p;
   std::vector<Surroundings> smoothed(points.size());
@@ -548,11 +585,18 @@ void SceneView::State::smoothSurroundings(const std::vector<Point*>& points) {
     p.surroundings = smoothed[i];
     const Vector3f light = p.weight.cwiseProduct(
         p.surface.albedo.cwiseProduct(p.surroundings.ambient) + p.surroundings.mirrored);
-    for (int c = 0; c < 3; ++c) ambient.data()[3 * p.pixel + c] += light[c];
+    const Vector3f work = p.surroundings.openness *
+                          static_cast<float>(workLight(p.surface.position.cast<double>(),
+                                                       p.surface.normal.cast<double>())) *
+                          p.weight.cwiseProduct(p.surface.albedo);
+    for (int c = 0; c < 3; ++c) {
+      ambient.data()[3 * p.pixel + c] += light[c];
+      byWorkLight.data()[3 * p.pixel + c] += work[c];
+    }
   }
 }
 
-void SceneView::State::prepare() {
+void SceneView::Tableau::prepare() {
   struct Tile {
     std::vector<Point> points, mirrored;
   };
@@ -588,10 +632,90 @@ void SceneView::State::prepare() {
     rest.insert(rest.end(), tile.mirrored.begin(), tile.mirrored.end());
   }
   store(rest, loose);
+
+  if (!ball) return;
+  for (const auto& spot : room.spots()) {
+    const Vector3d place = spot.position.cast<double>();
+    addHighlight(place, place, spot.radius, spot.radiance * Vector3f(1, 0.9f, 0.75f), ambient);
+  }
+}
+
+void SceneView::Tableau::addHighlight(const Vector3d& from, const Vector3d& to, double radius,
+                                      const Vector3f& radiance, RadianceImage& frame) const {
+  const Eigen::Isometry3d& pose = stillLife->sceneFromCamera();
+  const Vector3d eye = pose.translation();
+  // Where to look for it: the point of the ball, between eye and light, where both make the same
+  // angle with the normal.
+  const auto pixelFor = [&](const Vector3d& light) -> std::optional<Eigen::Vector2d> {
+    const Vector3d a = (eye - ball->centre).normalized(), b = (light - ball->centre).normalized();
+    const double whole = std::atan2(a.cross(b).norm(), a.dot(b));
+    const Vector3d aside = (b - b.dot(a) * a).normalized();
+    double low = 0, high = whole;
+    Vector3d point;
+    for (int i = 0; i < 40; ++i) {
+      const double angle = 0.5 * (low + high);
+      const Vector3d normal = std::cos(angle) * a + std::sin(angle) * aside;
+      point = ball->centre + ball->radius * normal;
+      const bool tooNear =
+          normal.dot((eye - point).normalized()) > normal.dot((light - point).normalized());
+      (tooNear ? low : high) = angle;
+    }
+    const Vector3f outside = (point + 1e-4 * (point - ball->centre) / ball->radius).cast<float>();
+    if (stillLife->occluded(outside, light.cast<float>())) return std::nullopt;
+    const Vector3d p = pose.inverse() * point;
+    return Eigen::Vector2d(focal * p.x() / p.z() + kWidth / 2.0,
+                           focal * p.y() / p.z() + kHeight / 2.0);
+  };
+  const auto begin = pixelFor(from), end = pixelFor(to);
+  if (!begin || !end) return;
+
+  // Rays on a fine grid around it; what they find is spread by the lens, so that no pixel's
+  // saturation hides where it is.
+  constexpr int kPerPixel = 16, kMarginPixels = 4, kReach = 4;
+  constexpr double kBlurPixels = 0.5;
+  const Eigen::Vector2d low = begin->cwiseMin(*end).array() - kMarginPixels;
+  const Eigen::Vector2d high = begin->cwiseMax(*end).array() + kMarginPixels;
+  const Vector3d towardsEye = eye - ball->centre;
+  for (int j = static_cast<int>(std::floor(low.y() * kPerPixel)); j < high.y() * kPerPixel; ++j) {
+    for (int i = static_cast<int>(std::floor(low.x() * kPerPixel)); i < high.x() * kPerPixel; ++i) {
+      const double x = (i + 0.5) / kPerPixel, y = (j + 0.5) / kPerPixel;
+      const Vector3d direction =
+          (pose.linear() * Vector3d((x - kWidth / 2.0) / focal, (y - kHeight / 2.0) / focal, 1))
+              .normalized();
+      const double b = direction.dot(towardsEye);
+      const double discriminant = b * b - towardsEye.squaredNorm() + ball->radius * ball->radius;
+      if (discriminant <= 0) continue;
+      const Vector3d point = eye + (-b - std::sqrt(discriminant)) * direction;
+      const Vector3d normal = (point - ball->centre) / ball->radius;
+      const Vector3d out = direction - 2 * direction.dot(normal) * normal;
+      // Places in the exposure spread over the grid without order (Roberts 2018).
+      const double when = 0.7548776662 * i + 0.5698402910 * j;
+      const Vector3d light = from + (when - std::floor(when)) * (to - from) - point;
+      if (out.dot(light) <= 0 || out.cross(light).norm() > radius) continue;
+
+      const double m = std::pow(1 + direction.dot(normal), 5);
+      const int column = static_cast<int>(std::floor(x)), row = static_cast<int>(std::floor(y));
+      for (int v = std::max(row - kReach, 0); v <= std::min(row + kReach, kHeight - 1); ++v) {
+        for (int u = std::max(column - kReach, 0); u <= std::min(column + kReach, kWidth - 1);
+             ++u) {
+          const double dx = u + 0.5 - x, dy = v + 0.5 - y;
+          const double share = std::exp(-0.5 * (dx * dx + dy * dy) / (kBlurPixels * kBlurPixels)) /
+                               (2 * std::numbers::pi * kBlurPixels * kBlurPixels) /
+                               (kPerPixel * kPerPixel);
+          for (int c = 0; c < 3; ++c) {
+            const double chrome = 0.55 + 0.45 * m;
+            frame(u, v, c) += static_cast<float>(share * chrome) * radiance[c];
+          }
+        }
+      }
+    }
+  }
 }
 
 // Adds the lamp's light to `frame`.
-void SceneView::State::traceLamp(const LampState& lamp, const LampPoints& lampPoints) {
+void SceneView::Tableau::traceLamp(const LampState& lamp, const LampPoints& lampPoints,
+                                   RadianceImage& frame) {
+  const auto power = static_cast<float>(lamp.power);
   const Lamp centre{static_cast<float>(lamp.position.x()), static_cast<float>(lamp.position.y()),
                     static_cast<float>(lamp.position.z())};
   ShadowCaster caster(stillLife->embreeScene(), lampPoints);
@@ -625,39 +749,117 @@ void SceneView::State::traceLamp(const LampState& lamp, const LampPoints& lampPo
       std::fill(std::begin(visible), std::end(visible),
                 tileLight[place] == Light::kLit ? 1.0f : 0.0f);
     }
-    addLight(tiles[k], centre, visible);
+    addLight(tiles[k], centre, power, visible, frame);
   }
   for (const Block& b : loose) {
     caster.castLoose(b, visible);
-    addLight(b, centre, visible);
+    addLight(b, centre, power, visible, frame);
   }
 }
 
-void SceneView::State::addLight(const Block& b, const Lamp& lamp, const float* visible) {
+void SceneView::Tableau::addLight(const Block& b, const Lamp& lamp, float power,
+                                  const float* visible, RadianceImage& frame) {
   alignas(64) float radiance[3][kLanes];
   shade(b, lamp, visible, radiance);
   for (int i = 0; i < kLanes; ++i) {
     if (b.pixel[i] < 0) continue;
     float* out = frame.data() + 3 * static_cast<std::size_t>(b.pixel[i]);
-    for (int c = 0; c < 3; ++c) out[c] += radiance[c][i] * kLampColour[c];
+    for (int c = 0; c < 3; ++c) out[c] += radiance[c][i] * power * kLampColour[c];
+  }
+}
+
+SceneView::Tableau& SceneView::State::tableau(RigProgram program) {
+  const auto prepared = [&](std::unique_ptr<Tableau>& place,
+                            const std::shared_ptr<const StillLife>& things,
+                            const std::optional<MirrorBall>& ball) -> Tableau& {
+    if (!place) place = std::make_unique<Tableau>(things, room, ball);
+    return *place;
+  };
+  switch (program) {
+    case RigProgram::kBoard:
+      return prepared(ofTable, play->bareTable, std::nullopt);
+    case RigProgram::kMirrorBall:
+      return prepared(ofBall, play->tableWithBall, play->ball);
+    default:
+      return prepared(ofStillLife, stillLife, std::nullopt);
+  }
+}
+
+void SceneView::State::showBoard(double programSeconds, double exposureSeconds) {
+  const Tableau& table = tableau(RigProgram::kBoard);
+  if (rays.directions.empty()) {
+    const Eigen::Isometry3d& pose = table.stillLife->sceneFromCamera();
+    rays.width = kWidth;
+    rays.height = kHeight;
+    rays.eye = pose.translation();
+    for (int y = 0; y <= kHeight; ++y) {
+      for (int x = 0; x <= kWidth; ++x) {
+        const Vector3d inCamera((x - kWidth / 2.0) / table.focal, (y - kHeight / 2.0) / table.focal,
+                                1);
+        rays.directions.push_back((pose.linear() * inCamera).cast<float>());
+      }
+    }
+  }
+  constexpr double kBlurPixels = 0.5;
+  drawBoard(play->board, rays, programSeconds - exposureSeconds / 2,
+            programSeconds + exposureSeconds / 2, kBlurPixels, boardLayer);
+  for (std::size_t i = 0; i < static_cast<std::size_t>(kWidth) * kHeight * 3; ++i) {
+    frame.data()[i] = table.ambient.data()[i] + table.byWorkLight.data()[i];
+  }
+  for (int y = boardLayer.y0; y < boardLayer.y1; ++y) {
+    for (int x = boardLayer.x0; x < boardLayer.x1; ++x) {
+      const auto i = static_cast<std::size_t>(y * kWidth + x);
+      for (int c = 0; c < 3; ++c) {
+        frame(x, y, c) += boardLayer.light[i] - boardLayer.cover[i] * frame(x, y, c);
+      }
+    }
   }
 }
 
 SceneView::SceneView(std::shared_ptr<const StillLife> stillLife, const Room& room,
-                     LampMotion& motion, std::uint32_t seed)
-    : state_(std::make_unique<State>(std::move(stillLife), room, motion, seed)) {
-  state_->prepare();
-}
+                     LampMotion& motion, std::uint32_t seed, const Play* play)
+    : state_(std::make_unique<State>(std::move(stillLife), room, motion, seed, play)) {}
 SceneView::~SceneView() = default;
+
+double SceneView::focalLengthPixels() const {
+  return kWidth / 2.0 / std::tan(state_->stillLife->horizontalField().radians() / 2);
+}
 
 const RadianceImage& SceneView::render(double timeSeconds, double exposureSeconds) {
   State& s = *state_;
+  const auto [program, since] = s.programAt(timeSeconds);
+  const std::size_t values = static_cast<std::size_t>(kWidth) * kHeight * 3;
+  switch (program) {
+    case RigProgram::kBoard:
+      s.showBoard(timeSeconds - since, exposureSeconds);
+      return s.frame;
+    case RigProgram::kDiffuser:
+      std::fill_n(s.frame.data(), values, kSceneDiffuserRadiance);
+      return s.frame;
+    case RigProgram::kDark:
+      std::fill_n(s.frame.data(), values, 0.0f);
+      return s.frame;
+    case RigProgram::kStill:
+      s.frame = s.tableau(program).ambient;
+      return s.frame;
+    case RigProgram::kLamp:
+    case RigProgram::kMirrorBall:
+      break;
+  }
+  Tableau& tableau = s.tableau(program);
   s.motion.advanceTo(timeSeconds + exposureSeconds / 2);
   const LampState lamp = s.motion.at(timeSeconds);
-  s.frame = s.ambient;
+  s.frame = tableau.ambient;
   if (!lamp.lit) return s.frame;
 
-  s.traceLamp(lamp, lampPointsAt(s.motion, timeSeconds, exposureSeconds));
+  tableau.traceLamp(lamp, lampPointsAt(s.motion, timeSeconds, exposureSeconds), s.frame);
+  if (tableau.ball) {
+    constexpr double kLampRadiance =
+        kLampDistanceMetres * kLampDistanceMetres / (kLampRadiusMetres * kLampRadiusMetres);
+    tableau.addHighlight(s.motion.at(timeSeconds - exposureSeconds / 2).position,
+                         s.motion.at(timeSeconds + exposureSeconds / 2).position, kLampRadiusMetres,
+                         static_cast<float>(lamp.power * kLampRadiance) * kLampColour, s.frame);
+  }
   return s.frame;
 }
 

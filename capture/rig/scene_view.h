@@ -1,4 +1,5 @@
-// What the scene camera sees: the still life, traced with the lamp where the hand holds it.
+// What the scene camera sees: the still life, traced with the lamp where the hand holds it, or what
+// another program puts in its place.
 #pragma once
 
 #include <cstdint>
@@ -8,6 +9,7 @@
 #include "capture/frame/image.h"
 #include "capture/rig/gige_device.h"
 #include "capture/rig/lamp_motion.h"
+#include "capture/rig/play.h"
 #include "capture/rig/room.h"
 #include "capture/rig/sensor.h"
 #include "capture/rig/still_life.h"
@@ -23,9 +25,10 @@ class SceneView final : public FrameSource {
   // Fraction of the full well that radiance 1 fills in one second: 0.65 in 0.02 s.
   static constexpr double kSignalPerSecond = 32.5;
 
-  // `motion` must outlive the view.
+  // `motion` and `play` must outlive the view. No play: the lamp's program for ever. What stands on
+  // the table is prepared when it is first shown, the first program's at once.
   SceneView(std::shared_ptr<const StillLife> stillLife, const Room& room, LampMotion& motion,
-            std::uint32_t seed);
+            std::uint32_t seed, const Play* play = nullptr);
   ~SceneView() override;
 
   int sensorWidth() const override { return kWidth; }
@@ -40,7 +43,11 @@ class SceneView final : public FrameSource {
   // `exposureSeconds` around `timeSeconds`. Valid until the next call.
   const RadianceImage& render(double timeSeconds, double exposureSeconds);
 
+  // Of the picture, a pinhole's.
+  double focalLengthPixels() const;
+
  private:
+  struct Tableau;
   struct State;
   std::unique_ptr<State> state_;
 };

@@ -91,12 +91,20 @@ struct Perceived {
 }  // namespace
 
 struct SimulatedHand::State {
-  explicit State(std::uint32_t seed) : random(seed) {
+  State(std::uint32_t seed, const HandOptions& theOptions) : options(theOptions), random(seed) {
     nextPause = exponential(kPauseEvery);
     nextLeave = 5 + exponential(kLeaveEvery);
     nextCover = 3 + exponential(kCoverEvery);
     direction = Vector3d(-0.35, -0.45, 0.8).normalized();
-    path.push_back(LampState{true, 0, kLampDistanceMetres * direction});
+    path.push_back(LampState{true, 0, meanDistance(0) * direction});
+    if (options.sweeps) chooseWaypoint();
+  }
+
+  // Two slow swings that never meet: the whole range within half a minute.
+  double meanDistance(double t) const {
+    const double swing = 0.6 * std::sin(0.47 * t + 0.4) + 0.4 * std::sin(0.83 * t + 2.1);
+    return 0.5 * (options.minDistanceMetres + options.maxDistanceMetres) +
+           0.5 * (options.maxDistanceMetres - options.minDistanceMetres) * swing;
   }
 
   double uniform(double low, double high) {
@@ -123,6 +131,18 @@ struct SimulatedHand::State {
 
   // Anywhere above the table, not too close: what a person does who covers the sky without a guide.
   void chooseWaypoint() {
+    arrived = false;
+    if (options.sweeps) {
+      // Down from the zenith in four turns, and up again.
+      constexpr int kTurns = 4, kPerTurn = 14, kWaypoints = kTurns * kPerTurn;
+      const int place = waypoint++ % (2 * kWaypoints);
+      const int i = place < kWaypoints ? place : 2 * kWaypoints - 1 - place;
+      const double theta = 84 * kDegree * std::sqrt((i + 0.5) / kWaypoints);
+      const double azimuth = 2 * std::numbers::pi * i / kPerTurn;
+      target = Vector3d(std::sin(theta) * std::cos(azimuth), std::sin(theta) * std::sin(azimuth),
+                        std::cos(theta));
+      return;
+    }
     for (int tries = 0; tries < 20; ++tries) {
       const double z = uniform(0.03, 1);
       const double azimuth = uniform(0, 2 * std::numbers::pi);
@@ -131,7 +151,6 @@ struct SimulatedHand::State {
       const double angle = angleBetween(target, direction);
       if (angle > 20 * kDegree && angle < 80 * kDegree) break;
     }
-    arrived = false;
   }
 
   // The velocity (radians per second, tangent to the sphere) that the person wants now.
@@ -162,7 +181,7 @@ struct SimulatedHand::State {
   }
 
   void lapses(double t) {
-    if (mode == Guide::Mode::kLampOff) return;
+    if (mode == Guide::Mode::kLampOff || options.sweeps) return;
     if (t > nextPause) {
       pauseUntil = t + uniform(kPauseMin, kPauseMax);
       nextPause = pauseUntil + exponential(kPauseEvery);
@@ -204,7 +223,7 @@ struct SimulatedHand::State {
         kTremorAngle * tremorV.next(gaussian()) + kDriftAngle * driftV.next(gaussian());
     Vector3d shaken = (direction + du * u + dv * v).normalized();
     const double radius =
-        kLampDistanceMetres *
+        meanDistance(t) *
         (1 + std::clamp(kRadiusWobble * radiusWander.next(gaussian()), -0.08, 0.08));
     // The lamp does not go through the table, unless the person takes it away below its edge.
     if (t >= leaveUntil + 0.5 && shaken.z() < 0.005 && direction.z() > -0.02) shaken.z() = 0.005;
@@ -219,6 +238,8 @@ struct SimulatedHand::State {
   std::vector<LampState> path;  // at multiples of kStep
   std::deque<Perceived> perceived;
 
+  HandOptions options;
+  int waypoint = 0;
   std::mt19937 random;
   std::normal_distribution<double> normal;
   Tremor tremorU, tremorV;
@@ -238,7 +259,8 @@ struct SimulatedHand::State {
   double nextPause, nextLeave, nextCover;
 };
 
-SimulatedHand::SimulatedHand(std::uint32_t seed) : state_(std::make_unique<State>(seed)) {}
+SimulatedHand::SimulatedHand(std::uint32_t seed, const HandOptions& options)
+    : state_(std::make_unique<State>(seed, options)) {}
 SimulatedHand::~SimulatedHand() = default;
 
 void SimulatedHand::guide(const Guide& guide, double timeSeconds) {

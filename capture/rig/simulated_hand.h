@@ -9,11 +9,20 @@
 
 namespace lightsketch {
 
+struct HandOptions {
+  // How far from the subject the lamp is held: in between, wandering slowly.
+  double minDistanceMetres = kLampDistanceMetres;
+  double maxDistanceMetres = kLampDistanceMetres;
+  // Waves the lamp all over the hemisphere, in a spiral of some 25 s that repeats, without a guide
+  // and without lapses.
+  bool sweeps = false;
+};
+
 // Simulated in steps of 5 ms; the path is a function of the seed and of the guides with their
 // times. Thread-safe.
 class SimulatedHand final : public LampMotion {
  public:
-  explicit SimulatedHand(std::uint32_t seed);
+  explicit SimulatedHand(std::uint32_t seed, const HandOptions& options = {});
   ~SimulatedHand() override;
 
   // What the program shows the person at `timeSeconds`. They react a quarter of a second later.

@@ -1,10 +1,13 @@
 #include "capture/rig/simulated_rig.h"
 
+#include <algorithm>
 #include <cmath>
+#include <functional>
 #include <utility>
 #include <vector>
 
 #include "capture/rig/fisheye_lens.h"
+#include "capture/rig/play.h"
 #include "capture/rig/room.h"
 #include "capture/rig/scene_view.h"
 #include "capture/rig/sensor.h"
@@ -65,117 +68,287 @@ class LoopedSource final : public FrameSource {
   std::vector<std::vector<std::uint8_t>> loop_;
 };
 
+// A camera whose feature "RigProgram" is heard.
+class ProgrammedSource final : public FrameSource {
+ public:
+  ProgrammedSource(FrameSource& view, std::function<void(RigProgram)> onProgram)
+      : view_(view), onProgram_(std::move(onProgram)) {}
+
+  int sensorWidth() const override { return view_.sensorWidth(); }
+  int sensorHeight() const override { return view_.sensorHeight(); }
+  std::vector<PixelFormat> formats() const override { return view_.formats(); }
+  void guide(const Guide& guide) override { view_.guide(guide); }
+  void startProgram(RigProgram program) override { onProgram_(program); }
+  void expose(const ExposureRequest& request, std::vector<std::uint8_t>& bytes) override {
+    view_.expose(request, bytes);
+  }
+
+ private:
+  FrameSource& view_;
+  std::function<void(RigProgram)> onProgram_;
+};
+
+// The lamp as the programs have it: guided, waved around the ball, or put away.
+class ProgramMotion final : public LampMotion {
+ public:
+  ProgramMotion(const ProgramLog& programs, LampMotion& guided, const HandOptions& hand,
+                std::uint32_t seed)
+      : programs_(programs), guided_(guided), sweeping_(seed, sweeping(hand)) {}
+
+  void advanceTo(double timeSeconds) override {
+    const auto [program, since] = programs_.at(timeSeconds);
+    if (program == RigProgram::kLamp) guided_.advanceTo(timeSeconds);
+    if (program == RigProgram::kMirrorBall) sweeping_.advanceTo(timeSeconds - since);
+  }
+  LampState at(double timeSeconds) const override {
+    const auto [program, since] = programs_.at(timeSeconds);
+    if (program == RigProgram::kMirrorBall) return sweeping_.at(timeSeconds - since);
+    LampState state = guided_.at(timeSeconds);
+    state.lit = state.lit && program == RigProgram::kLamp;
+    return state;
+  }
+
+ private:
+  static HandOptions sweeping(HandOptions options) {
+    options.sweeps = true;
+    return options;
+  }
+
+  const ProgramLog& programs_;
+  LampMotion& guided_;
+  SimulatedHand sweeping_;
+};
+
+Result<void> validate(const SimulatedRigOptions& o) {
+  if (o.framesPerSecond <= 0 || o.prerenderedFrames < 0 || o.packetLoss < 0 || o.packetLoss >= 1) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "simulated rig: frame rate must be positive, packet loss within [0, 1)");
+  }
+  if (o.prerenderedFrames > 0 && o.program != RigProgram::kLamp) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "simulated rig: only the lamp's program can be rendered beforehand");
+  }
+  if (!(o.ballRadiusMetres >= 0.005 && o.ballRadiusMetres <= 0.05)) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "simulated rig: a mirror ball of {} m radius; give 0.005 to 0.05",
+                   o.ballRadiusMetres);
+  }
+  if (!(o.minLampDistanceMetres >= 0.3 && o.minLampDistanceMetres <= o.maxLampDistanceMetres &&
+        o.maxLampDistanceMetres <= 1.5)) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "simulated rig: lamp between {} and {} m from the subject; give 0.3 to 1.5",
+                   o.minLampDistanceMetres, o.maxLampDistanceMetres);
+  }
+  return {};
+}
+
 }  // namespace
 
 int sceneBlackLevelCounts(PixelFormat format) { return blackLevelCounts(format); }
 
 struct SimulatedRig::State {
+  State(RigProgram program, HeldBoard&& board, const MirrorBall& ball,
+        std::shared_ptr<const StillLife> bareTable, std::shared_ptr<const StillLife> tableWithBall)
+      : play{ProgramLog(program), std::move(board), ball, std::move(bareTable),
+             std::move(tableWithBall)} {}
+
+  // A camera: what it sees, and the device that sends it.
+  struct Source {
+    std::string address;
+    LensFit fit;
+    std::unique_ptr<SourceView> view;
+  };
+
   SimulatedRigOptions options;
-  LensFit lensFit;
   std::shared_ptr<const StillLife> stillLife;
   Room room;
+  Play play;
   TimePoint startTime;
   std::unique_ptr<SimulatedHand> hand;   // absent where frames are rendered beforehand
   std::unique_ptr<SpiralMotion> spiral;  // then this is the lamp's path
+  std::unique_ptr<ProgramMotion> motion;
   std::unique_ptr<SceneView> sceneView;
-  std::unique_ptr<SourceView> sourceView;
-  std::unique_ptr<LoopedSource> sceneLoop, sourceLoop;
+  std::vector<Source> sources;
+  std::vector<std::unique_ptr<FrameSource>> served;  // what stands between views and devices
   // Destroyed first: their threads call the views.
-  std::unique_ptr<GigeDevice> sceneDevice, sourceDevice;
+  std::vector<std::unique_ptr<GigeDevice>> devices;
 
-  LampMotion& motion() {
-    return hand ? static_cast<LampMotion&>(*hand) : static_cast<LampMotion&>(*spiral);
+  double now() const { return toSeconds(Clock::now() - startTime); }
+  HandOptions handOptions() const {
+    return {options.minLampDistanceMetres, options.maxLampDistanceMetres, false};
   }
+  // Starts a device that serves a view, by way of a loop of frames rendered beforehand or of the
+  // ear for programs.
+  Result<void> serve(FrameSource& view, GigeDeviceOptions device);
 };
 
-Result<std::unique_ptr<SimulatedRig>> SimulatedRig::start(const SimulatedRigOptions& options) {
-  if (options.framesPerSecond <= 0 || options.prerenderedFrames < 0 || options.packetLoss < 0 ||
-      options.packetLoss >= 1) {
-    return failure(ErrorCode::kInvalidArgument,
-                   "simulated rig: frame rate must be positive, packet loss within [0, 1)");
+Result<void> SimulatedRig::State::serve(FrameSource& view, GigeDeviceOptions device) {
+  if (options.prerenderedFrames > 0) {
+    served.push_back(std::make_unique<LoopedSource>(
+        view, options.prerenderedFrames, options.framesPerSecond, device.defaultExposureSeconds));
+  } else {
+    served.push_back(std::make_unique<ProgrammedSource>(
+        view, [this](RigProgram program) { play.programs.start(program, now()); }));
   }
-  auto state = std::make_unique<State>();
+  device.defaultFramesPerSecond = options.framesPerSecond;
+  device.packetLoss = options.packetLoss;
+  device.program = options.program;
+  device.seed = options.seed + static_cast<std::uint32_t>(devices.size());
+  ASSIGN_OR_RETURN(auto started, GigeDevice::start(*served.back(), device, startTime));
+  devices.push_back(std::move(started));
+  return {};
+}
+
+Result<std::unique_ptr<SimulatedRig>> SimulatedRig::start(const SimulatedRigOptions& options) {
+  RETURN_IF_ERROR(validate(options));
+  ASSIGN_OR_RETURN(const auto stillLife, StillLife::load(options.scene));
+  std::vector<std::pair<std::string, SourceSeat>> seats{{options.sourceAddress, firstSourceSeat()}};
+  if (!options.secondSource.empty()) seats.emplace_back(options.secondSource, secondSourceSeat());
+
+  // What the programs put before the cameras.
+  const MirrorBall ball{{0, 0, stillLife->tableHeight() + options.ballRadiusMetres},
+                        options.ballRadiusMetres};
+  BoardAudience audience{stillLife->sceneFromCamera(), {}, stillLife->tableHeight()};
+  for (const auto& seat : seats) {
+    audience.sceneFromSources.push_back(seat.second.sceneFromCamera);
+  }
+  ASSIGN_OR_RETURN(auto board, HeldBoard::create(options.board, audience));
+  ASSIGN_OR_RETURN(auto bareTable, stillLife->arranged({false, std::nullopt, std::nullopt}));
+  ASSIGN_OR_RETURN(auto tableWithBall, stillLife->arranged({false, ball, std::nullopt}));
+  auto state = std::make_unique<State>(options.program, std::move(board), ball,
+                                       std::move(bareTable), std::move(tableWithBall));
   State& s = *state;
   s.options = options;
-  ASSIGN_OR_RETURN(s.lensFit, fitKannalaBrandt(FisheyeLens()));
-  ASSIGN_OR_RETURN(s.stillLife, StillLife::load(options.scene));
+  s.stillLife = stillLife;
+
   if (options.prerenderedFrames > 0) {
     s.spiral = std::make_unique<SpiralMotion>(options.prerenderedFrames / options.framesPerSecond);
   } else {
-    s.hand = std::make_unique<SimulatedHand>(options.seed);
+    s.hand = std::make_unique<SimulatedHand>(options.seed, s.handOptions());
   }
-  s.sceneView = std::make_unique<SceneView>(s.stillLife, s.room, s.motion(), options.seed);
-  s.sourceView = std::make_unique<SourceView>(
-      s.stillLife, s.room, s.motion(), options.seed + 1, [&s](const Guide& guide) {
-        if (s.hand) s.hand->guide(guide, toSeconds(Clock::now() - s.startTime));
-      });
-  if (options.prerenderedFrames > 0) {
-    s.sceneLoop = std::make_unique<LoopedSource>(*s.sceneView, options.prerenderedFrames,
-                                                 options.framesPerSecond, kSceneExposureSeconds);
-    s.sourceLoop = std::make_unique<LoopedSource>(*s.sourceView, options.prerenderedFrames,
-                                                  options.framesPerSecond, kSourceExposureSeconds);
+  LampMotion& guided =
+      s.hand ? static_cast<LampMotion&>(*s.hand) : static_cast<LampMotion&>(*s.spiral);
+  s.motion =
+      std::make_unique<ProgramMotion>(s.play.programs, guided, s.handOptions(), options.seed + 77);
+  s.sceneView = std::make_unique<SceneView>(s.stillLife, s.room, *s.motion, options.seed, &s.play);
+  for (const auto& [address, seat] : seats) {
+    State::Source source;
+    source.address = address;
+    ASSIGN_OR_RETURN(source.fit, fitKannalaBrandt(FisheyeLens(seat.lens)));
+    source.view = std::make_unique<SourceView>(
+        s.stillLife, s.room, *s.motion,
+        options.seed + 1 + static_cast<std::uint32_t>(s.sources.size()),
+        [&s](const Guide& guide) {
+          if (s.hand) s.hand->guide(guide, s.now());
+        },
+        &s.play, seat);
+    s.sources.push_back(std::move(source));
   }
 
-  // Two cameras with clocks of their own, as real ones have.
+  // Cameras with clocks of their own, as real ones have.
+  s.startTime = Clock::now();
   GigeDeviceOptions scene;
   scene.address = options.sceneAddress;
   scene.model = "SimulatedScene";
   scene.serial = "SIM-SCENE-1";
-  scene.defaultFramesPerSecond = options.framesPerSecond;
   scene.defaultExposureSeconds = kSceneExposureSeconds;
   scene.clockOffsetSeconds = 12.3;
   scene.clockDriftPpm = 40;
-  scene.packetLoss = options.packetLoss;
-  scene.seed = options.seed;
-  GigeDeviceOptions source = scene;
-  source.address = options.sourceAddress;
-  source.model = "SimulatedSource";
-  source.serial = "SIM-SOURCE-1";
-  source.defaultExposureSeconds = kSourceExposureSeconds;
-  source.clockOffsetSeconds = 3471.9;
-  source.clockDriftPpm = -25;
-  source.seed = options.seed + 1;
-
-  s.startTime = Clock::now();
-  FrameSource& sceneFrames = s.sceneLoop ? static_cast<FrameSource&>(*s.sceneLoop) : *s.sceneView;
-  FrameSource& sourceFrames =
-      s.sourceLoop ? static_cast<FrameSource&>(*s.sourceLoop) : *s.sourceView;
-  ASSIGN_OR_RETURN(s.sceneDevice, GigeDevice::start(sceneFrames, scene, s.startTime));
-  ASSIGN_OR_RETURN(s.sourceDevice, GigeDevice::start(sourceFrames, source, s.startTime));
+  RETURN_IF_ERROR(s.serve(*s.sceneView, scene));
+  for (const State::Source& source : s.sources) {
+    const bool first = &source == &s.sources.front();
+    GigeDeviceOptions device;
+    device.address = source.address;
+    device.model = "SimulatedSource";
+    device.serial = first ? "SIM-SOURCE-1" : "SIM-SOURCE-2";
+    device.defaultExposureSeconds = kSourceExposureSeconds;
+    device.clockOffsetSeconds = first ? 3471.9 : 801.4;
+    device.clockDriftPpm = first ? -25 : 15;
+    RETURN_IF_ERROR(s.serve(*source.view, device));
+  }
   return std::unique_ptr<SimulatedRig>(new SimulatedRig(std::move(state)));
 }
 
 SimulatedRig::SimulatedRig(std::unique_ptr<State> state) : state_(std::move(state)) {}
 SimulatedRig::~SimulatedRig() = default;
 
-std::shared_ptr<const CameraModel> SimulatedRig::calibratedSourceModel() const {
-  return state_->lensFit.model;
+std::shared_ptr<const CameraModel> SimulatedRig::calibratedSourceModel(std::size_t source) const {
+  return state_->sources.at(source).fit.model;
 }
 
 RigGeometry SimulatedRig::geometry() const {
+  const SimulatedRigOptions& o = state_->options;
   RigGeometry geometry;
-  geometry.sceneCamera = {state_->options.sceneAddress, state_->stillLife->sceneFromCamera()};
-  geometry.sourceCameras = {{state_->options.sourceAddress, state_->sourceView->sceneFromCamera()}};
-  geometry.lampRadiusMetres = kLampDistanceMetres;
+  geometry.sceneCamera = {o.sceneAddress, state_->stillLife->sceneFromCamera()};
+  for (const State::Source& source : state_->sources) {
+    geometry.sourceCameras.push_back({source.address, source.view->sceneFromCamera()});
+  }
+  if (o.minLampDistanceMetres == o.maxLampDistanceMetres) {
+    geometry.lampRadiusMetres = o.minLampDistanceMetres;
+  }
   return geometry;
 }
+
+std::size_t SimulatedRig::sourceCount() const { return state_->sources.size(); }
 
 TimePoint SimulatedRig::startTime() const { return state_->startTime; }
 
 LampTruth SimulatedRig::truthAt(double timeSeconds) const {
-  const LampState lamp = state_->motion().at(timeSeconds);
+  const LampState lamp = state_->motion->at(timeSeconds);
+  const RigProgram program = programAt(timeSeconds);
   LampTruth truth;
   truth.timeSeconds = timeSeconds;
   truth.lit = lamp.lit;
-  truth.visibleToSource = state_->sourceView->seesLamp(lamp);
   truth.lampInScene = lamp.position;
-  truth.directionInSource =
-      (state_->sourceView->sceneFromCamera().inverse() * lamp.position).normalized();
+  truth.power = lamp.power;
+  for (const State::Source& source : state_->sources) {
+    truth.sources.push_back(
+        {source.view->seesLamp(lamp, program),
+         (source.view->sceneFromCamera().inverse() * lamp.position).normalized()});
+  }
+  truth.visibleToSource = truth.sources.front().visible;
+  truth.directionInSource = truth.sources.front().direction;
   return truth;
 }
 
+RigProgram SimulatedRig::programAt(double timeSeconds) const {
+  return state_->play.programs.at(timeSeconds).program;
+}
+
+std::optional<BoardTruth> SimulatedRig::boardAt(double timeSeconds) const {
+  const auto [program, since] = state_->play.programs.at(timeSeconds);
+  if (program != RigProgram::kBoard) return std::nullopt;
+  const HeldBoard& board = state_->play.board;
+  return BoardTruth{board.sceneFromBoardAt(timeSeconds - since),
+                    board.stillAt(timeSeconds - since)};
+}
+
+Eigen::Vector3d SimulatedRig::boardCorner(int column, int row) const {
+  return state_->play.board.corner(column, row);
+}
+
+double SimulatedRig::boardPeriodSeconds() const { return state_->play.board.periodSeconds(); }
+
+MirrorBall SimulatedRig::mirrorBall() const { return state_->play.ball; }
+
+std::optional<Eigen::Vector3d> SimulatedRig::trueDirection(const Eigen::Vector2d& pixel,
+                                                           std::size_t source) const {
+  return state_->sources.at(source).view->lens().unproject(pixel);
+}
+
+std::optional<Eigen::Vector2d> SimulatedRig::truePixel(const Eigen::Vector3d& directionInSource,
+                                                       std::size_t source) const {
+  return state_->sources.at(source).view->lens().project(directionInSource);
+}
+
+double SimulatedRig::sceneFocalLengthPixels() const {
+  return state_->sceneView->focalLengthPixels();
+}
+
 std::uint64_t SimulatedRig::framesSent() const {
-  return state_->sceneDevice->framesSent() + state_->sourceDevice->framesSent();
+  std::uint64_t sent = 0;
+  for (const auto& device : state_->devices) sent += device->framesSent();
+  return sent;
 }
 
 }  // namespace lightsketch

@@ -101,34 +101,75 @@ struct Node {
 
 }  // namespace
 
+namespace {
+
+SourceSeat seatAt(const FisheyeLensShape& lens, const Vector3d& place, double tiltDegrees,
+                  const Vector3d& tiltAxis, double twistDegrees) {
+  constexpr double kDegree = std::numbers::pi / 180;
+  SourceSeat seat{lens, Isometry3d::Identity()};
+  seat.sceneFromCamera.translation() = place;
+  seat.sceneFromCamera.linear() = (Eigen::AngleAxisd(tiltDegrees * kDegree, tiltAxis.normalized()) *
+                                   Eigen::AngleAxisd(twistDegrees * kDegree, Vector3d::UnitZ()))
+                                      .toRotationMatrix();
+  return seat;
+}
+
+}  // namespace
+
+SourceSeat firstSourceSeat() {
+  return seatAt(kFirstLens, {0.122, -0.012, 0.012}, 5, {0.55, 0.83, 0}, 3);
+}
+SourceSeat secondSourceSeat() {
+  return seatAt(kSecondLens, {-0.165, 0.075, 0.010}, 4, {-0.3, -0.95, 0}, -7);
+}
+
+// What stands still under the room's own light.
+struct SourceView::Tableau {
+  explicit Tableau(std::shared_ptr<const StillLife> things)
+      : stillLife(std::move(things)),
+        still(kPixels),
+        albedo(kPixels),
+        open(kPixels),
+        nodes(kNodes * kNodes) {}
+
+  static constexpr std::size_t kPixels = static_cast<std::size_t>(kSize) * kSize;
+
+  std::shared_ptr<const StillLife> stillLife;
+  std::vector<float> still;   // picture of room, table and what is on it
+  std::vector<float> albedo;  // times vignetting: what light of the lamp on them adds
+  std::vector<float> open;    // vignetting where a distant lamp would be seen, else 0
+  std::vector<Node> nodes;
+};
+
 struct SourceView::State {
   State(std::shared_ptr<const StillLife> objects, const Room& theRoom, LampMotion& theMotion,
-        std::uint32_t theSeed, std::function<void(const Guide&)> guideTo)
+        std::uint32_t theSeed, std::function<void(const Guide&)> guideTo, const Play* thePlay,
+        const SourceSeat& seat)
       : stillLife(std::move(objects)),
         room(theRoom),
         motion(theMotion),
         seed(theSeed),
         onGuide(std::move(guideTo)),
-        frame(kPixels),
-        still(kPixels),
-        albedo(kPixels),
-        open(kPixels),
-        wallLight(kNodes * kNodes),
-        nodes(kNodes * kNodes) {
-    // Beside the picture, a hand's breadth from the subject, tilted five degrees and a little
-    // twisted: nobody mounts a camera exactly.
-    sceneFromCamera.translation() = Vector3d(0.122, -0.012, 0.012);
-    sceneFromCamera.linear() =
-        (Eigen::AngleAxisd(5 * std::numbers::pi / 180, Vector3d(0.55, 0.83, 0).normalized()) *
-         Eigen::AngleAxisd(3 * std::numbers::pi / 180, Vector3d::UnitZ()))
-            .toRotationMatrix();
-    prepare();
+        play(thePlay),
+        lens(seat.lens),
+        sceneFromCamera(seat.sceneFromCamera),
+        frame(Tableau::kPixels),
+        wallLight(kNodes * kNodes) {
+    aim();
+    show(programAt(0).program);
   }
 
-  static constexpr std::size_t kPixels = static_cast<std::size_t>(kSize) * kSize;
-
+  ProgramLog::Entry programAt(double timeSeconds) const {
+    return play ? play->programs.at(timeSeconds) : ProgramLog::Entry{RigProgram::kLamp, 0};
+  }
+  const std::shared_ptr<const StillLife>& thingsIn(RigProgram program) const;
+  void aim();
+  Vector3d directionAt(double x, double y) const;  // interpolated; scene frame
+  double fieldAngle(const Vector3d& direction) const;
+  void show(RigProgram program);
   void prepare();
-  void shadePixel(int x, int y, const std::vector<Vector3d>& directions);
+  void shadePixel(int x, int y);
+  void showBoard(double programSeconds, double exposureSeconds);
   void lightWalls(const LampState& lamp);
   void drawArm(const LampState& lamp);
   void drawCover(const LampState& lamp);
@@ -142,75 +183,118 @@ struct SourceView::State {
   LampMotion& motion;
   std::uint32_t seed;
   std::function<void(const Guide&)> onGuide;
+  const Play* play;
   FisheyeLens lens;
-  Isometry3d sceneFromCamera = Isometry3d::Identity();
+  Isometry3d sceneFromCamera;
+
+  std::vector<Vector3d> directions;                       // of the nodes, scene frame
+  std::unique_ptr<Tableau> ofStillLife, ofTable, ofBall;  // absent until shown
+  Tableau* now = nullptr;
+  PixelCornerRays rays;             // empty until the board is shown
+  std::vector<float> illumination;  // vignetting inside the field, else 0
+  BoardLayer boardLayer;
 
   std::vector<float> frame;
-  std::vector<float> still;      // picture of room, table and still life under the room's own light
-  std::vector<float> albedo;     // times vignetting: what light of the lamp on them adds
-  std::vector<float> open;       // vignetting where a distant lamp would be seen, else 0
   std::vector<float> wallLight;  // at the nodes
-  std::vector<Node> nodes;
   std::vector<float> signal;
 };
 
-void SourceView::State::prepare() {
-  const Vector3f eye = sceneFromCamera.translation().cast<float>();
+const std::shared_ptr<const StillLife>& SourceView::State::thingsIn(RigProgram program) const {
+  if (program == RigProgram::kBoard) return play->bareTable;
+  if (program == RigProgram::kMirrorBall) return play->tableWithBall;
+  return stillLife;
+}
 
-  // Directions at the corners of the coarse cells; the lens is smooth enough to interpolate between
-  // (0.02 px).
-  std::vector<Vector3d> directions(static_cast<std::size_t>(kNodes) * kNodes);
+// Directions at the corners of the coarse cells; the lens is smooth enough to interpolate between
+// (0.02 px).
+void SourceView::State::aim() {
+  directions.resize(static_cast<std::size_t>(kNodes) * kNodes);
   tbb::parallel_for(0, kNodes, [&](int row) {
     for (int column = 0; column < kNodes; ++column) {
-      const auto i = static_cast<std::size_t>(row * kNodes + column);
-      const Vector3d inCamera = lens.unprojectUnbounded(Vector2d(column * kCell, row * kCell));
-      directions[i] = sceneFromCamera.linear() * inCamera;
-      const Vector3f direction = directions[i].cast<float>();
-      Node& node = nodes[i];
-      node.seen = inCamera.z() > std::cos(FisheyeLens::kMaxFieldAngle.radians() + 0.08);
-      if (const auto hit = stillLife->glance(eye, direction)) {
-        node.seen = false;  // close things keep the room's light only
-      } else {
-        const RoomHit wall = room.trace(eye, direction);
-        node.position = wall.position;
-        node.normal = wall.normal;
+      directions[static_cast<std::size_t>(row * kNodes + column)] =
+          sceneFromCamera.linear() * lens.unprojectUnbounded(Vector2d(column * kCell, row * kCell));
+    }
+  });
+  illumination.assign(Tableau::kPixels, 0);
+  tbb::parallel_for(0, kSize, [&](int y) {
+    for (int x = 0; x < kSize; ++x) {
+      for (int i = 0; i < 4; ++i) {
+        const double theta =
+            fieldAngle(directionAt(x + 0.25 + 0.5 * (i % 2), y + 0.25 + 0.5 * (i / 2)));
+        if (theta > FisheyeLens::kMaxFieldAngle.radians()) continue;
+        illumination[static_cast<std::size_t>(y * kSize + x)] += 0.25f * vignetting(theta);
       }
     }
   });
+}
+
+Vector3d SourceView::State::directionAt(double x, double y) const {
+  const int column = std::min(static_cast<int>(x) / kCell, kNodes - 2);
+  const int row = std::min(static_cast<int>(y) / kCell, kNodes - 2);
+  const double fx = x / kCell - column, fy = y / kCell - row;
+  const auto corner = [&](int dx, int dy) -> const Vector3d& {
+    return directions[static_cast<std::size_t>((row + dy) * kNodes + column + dx)];
+  };
+  return ((1 - fy) * ((1 - fx) * corner(0, 0) + fx * corner(1, 0)) +
+          fy * ((1 - fx) * corner(0, 1) + fx * corner(1, 1)))
+      .normalized();
+}
+
+double SourceView::State::fieldAngle(const Vector3d& direction) const {
+  return std::acos(std::clamp(direction.dot(sceneFromCamera.linear().col(2)), -1.0, 1.0));
+}
+
+void SourceView::State::show(RigProgram program) {
+  auto& place = program == RigProgram::kBoard        ? ofTable
+                : program == RigProgram::kMirrorBall ? ofBall
+                                                     : ofStillLife;
+  const bool known = place != nullptr;
+  if (!known) place = std::make_unique<Tableau>(thingsIn(program));
+  now = place.get();
+  if (!known) prepare();
+}
+
+void SourceView::State::prepare() {
+  const Vector3f eye = sceneFromCamera.translation().cast<float>();
+  const Vector3d axis = sceneFromCamera.linear().col(2);
+  tbb::parallel_for(0, kNodes * kNodes, [&](int place) {
+    const auto i = static_cast<std::size_t>(place);
+    const Vector3f direction = directions[i].cast<float>();
+    Node& node = now->nodes[i];
+    node.seen = directions[i].dot(axis) > std::cos(FisheyeLens::kMaxFieldAngle.radians() + 0.08);
+    if (now->stillLife->glance(eye, direction)) {
+      node.seen = false;  // close things keep the room's light only
+    } else {
+      const RoomHit wall = room.trace(eye, direction);
+      node.position = wall.position;
+      node.normal = wall.normal;
+    }
+  });
   tbb::parallel_for(0, kSize, [&](int y) {
-    for (int x = 0; x < kSize; ++x) shadePixel(x, y, directions);
+    for (int x = 0; x < kSize; ++x) shadePixel(x, y);
   });
   for (const auto& spot : room.spots()) {
     const Vector3d inCamera = sceneFromCamera.inverse() * spot.position.cast<double>();
     if (const auto disk = project(lens, inCamera, spot.radius)) {
-      drawDisk(*disk, spot.radiance, 1, still);
+      drawDisk(*disk, spot.radiance, 1, now->still);
     }
   }
 }
 
-void SourceView::State::shadePixel(int x, int y, const std::vector<Vector3d>& directions) {
+void SourceView::State::shadePixel(int x, int y) {
   const auto pixel = static_cast<std::size_t>(y) * kSize + static_cast<std::size_t>(x);
   const Vector3f eye = sceneFromCamera.translation().cast<float>();
   for (int i = 0; i < 4; ++i) {
     // Four places inside the pixel.
-    const double px = x + 0.25 + 0.5 * (i % 2), py = y + 0.25 + 0.5 * (i / 2);
-    const int column = x / kCell, row = y / kCell;
-    const double fx = px / kCell - column, fy = py / kCell - row;
-    const auto corner = [&](int dx, int dy) -> const Vector3d& {
-      return directions[static_cast<std::size_t>((row + dy) * kNodes + column + dx)];
-    };
-    const Vector3d direction = ((1 - fy) * ((1 - fx) * corner(0, 0) + fx * corner(1, 0)) +
-                                fy * ((1 - fx) * corner(0, 1) + fx * corner(1, 1)))
-                                   .normalized();
-    const double theta =
-        std::acos(std::clamp(direction.dot(sceneFromCamera.linear().col(2)), -1.0, 1.0));
+    const Vector3d direction = directionAt(x + 0.25 + 0.5 * (i % 2), y + 0.25 + 0.5 * (i / 2));
+    const double theta = fieldAngle(direction);
     if (theta > FisheyeLens::kMaxFieldAngle.radians()) continue;
 
     const float share = 0.25f * vignetting(theta);
     const Vector3f d = direction.cast<float>();
     Vector3f radiance, reflectance;
     // Only what is low can be an object or the table.
-    const auto hit = direction.z() < 0.5 ? stillLife->hit(eye, d) : std::nullopt;
+    const auto hit = direction.z() < 0.5 ? now->stillLife->hit(eye, d) : std::nullopt;
     if (hit) {
       // Ambient light, and the room mirrored in the polish.
       const Vector3f mirrored = d - 2 * d.dot(hit->normal) * hit->normal;
@@ -222,18 +306,18 @@ void SourceView::State::shadePixel(int x, int y, const std::vector<Vector3d>& di
       const RoomHit wall = room.trace(eye, d);
       radiance = wall.radiance;
       reflectance = wall.albedo;
-      open[pixel] += share;
+      now->open[pixel] += share;
     }
     const Vector3f response(0.30f, 0.45f, 0.25f);  // of a silicon sensor without filters, roughly
-    still[pixel] += share * response.dot(radiance);
-    albedo[pixel] += share * response.dot(reflectance);
+    now->still[pixel] += share * response.dot(radiance);
+    now->albedo[pixel] += share * response.dot(reflectance);
   }
 }
 
 // Irradiance / pi that the lamp throws on what each node sees.
 void SourceView::State::lightWalls(const LampState& lamp) {
-  for (std::size_t i = 0; i < nodes.size(); ++i) {
-    const Node& node = nodes[i];
+  for (std::size_t i = 0; i < now->nodes.size(); ++i) {
+    const Node& node = now->nodes[i];
     wallLight[i] = 0;
     if (!lamp.lit || !node.seen) continue;
     const Vector3d d = node.position.cast<double>() - lamp.position;
@@ -241,7 +325,8 @@ void SourceView::State::lightWalls(const LampState& lamp) {
     const double cosine = -d.dot(node.normal.cast<double>()) / std::sqrt(d2);
     constexpr double kBounced = 0.02;  // from the rest of the room
     const double direct = std::max(cosine, 0.0) * kLampDistanceMetres * kLampDistanceMetres / d2;
-    wallLight[i] = static_cast<float>(kBounced + direct * emission(d, lamp.position));
+    wallLight[i] =
+        static_cast<float>(lamp.power * (kBounced + direct * emission(d, lamp.position)));
   }
 }
 
@@ -264,8 +349,8 @@ void SourceView::State::drawShadow(const Vector3d& position, double radius) {
       const auto alpha = static_cast<float>(std::clamp(0.5 + inside / 1.6, 0.0, 1.0));
       if (alpha <= 0) continue;
       const auto pixel = static_cast<std::size_t>(y) * kSize + static_cast<std::size_t>(x);
-      if (open[pixel] <= 0) continue;
-      frame[pixel] += alpha * (kSkin * open[pixel] - frame[pixel]);
+      if (now->open[pixel] <= 0) continue;
+      frame[pixel] += alpha * (kSkin * now->open[pixel] - frame[pixel]);
     }
   }
 }
@@ -370,9 +455,9 @@ void SourceView::State::drawDisk(const Disk& disk, double radiance, double glare
         value = radiance * 0.5 * std::erfc(outside / (std::numbers::sqrt2 * kBlurPixels));
       }
       const auto pixel = static_cast<std::size_t>(y) * kSize + static_cast<std::size_t>(x);
-      out[pixel] += static_cast<float>(value) * open[pixel];
+      out[pixel] += static_cast<float>(value) * now->open[pixel];
       all += value;
-      seen += value * open[pixel];
+      seen += value * now->open[pixel];
     }
   }
   if (glare <= 0 || all <= 0) return;
@@ -399,7 +484,7 @@ void SourceView::State::drawReflections(const LampState& lamp) {
     const double reflectance =
         kTwoFaces * schlick(0.04, cosine) * emission(on - lamp.position, lamp.position);
     if (const auto disk = project(lens, sceneFromCamera.inverse() * mirrored, kLampRadiusMetres)) {
-      drawDisk(*disk, reflectance * kLampRadiance, 1, frame);
+      drawDisk(*disk, reflectance * lamp.power * kLampRadiance, 1, frame);
     }
   }
   const double top = stillLife->tableHeight();
@@ -412,48 +497,117 @@ void SourceView::State::drawReflections(const LampState& lamp) {
       const double cosine = std::abs((mirrored - eye).normalized().z());
       const auto disk = project(lens, sceneFromCamera.inverse() * mirrored, 2 * kLampRadiusMetres);
       if (disk) {
-        const double radiance = kTableGloss * schlick(0.04, cosine) * kLampRadiance / 4;
+        const double radiance =
+            lamp.power * kTableGloss * schlick(0.04, cosine) * kLampRadiance / 4;
         drawGlare(disk->centre, radiance * disk->area() / kHaloShare * 0.25, frame);
       }
     }
   }
 }
 
+// Exact rays through the pixels' corners: one step of Newton's method from the interpolated ones,
+// with the coarse cell's own differences as its Jacobian.
+void SourceView::State::showBoard(double programSeconds, double exposureSeconds) {
+  if (rays.directions.empty()) {
+    rays.width = rays.height = kSize;
+    rays.eye = sceneFromCamera.translation();
+    rays.directions.resize(static_cast<std::size_t>(kSize + 1) * (kSize + 1));
+    const Eigen::Matrix3d cameraFromScene = sceneFromCamera.linear().transpose();
+    tbb::parallel_for(0, kSize + 1, [&](int y) {
+      const int row = std::min(y / kCell, kNodes - 2);
+      for (int x = 0; x <= kSize; ++x) {
+        const int column = std::min(x / kCell, kNodes - 2);
+        const auto corner = [&](int dx, int dy) -> const Vector3d& {
+          return directions[static_cast<std::size_t>((row + dy) * kNodes + column + dx)];
+        };
+        Vector3d direction = directionAt(x, y);
+        // Outside the field nothing is seen.
+        if (const auto pixel = lens.project(cameraFromScene * direction)) {
+          const Vector2d error = Vector2d(x, y) - *pixel;
+          direction += error.x() / kCell * (corner(1, 0) - corner(0, 0)) +
+                       error.y() / kCell * (corner(0, 1) - corner(0, 0));
+        }
+        rays.directions[static_cast<std::size_t>(y) * (kSize + 1) + static_cast<std::size_t>(x)] =
+            direction.cast<float>();
+      }
+    });
+  }
+  show(RigProgram::kBoard);
+  drawBoard(play->board, rays, programSeconds - exposureSeconds / 2,
+            programSeconds + exposureSeconds / 2, kBlurPixels, boardLayer);
+  // The walls are far from the work light, and it does not reach below the table.
+  constexpr float kWorkLightOnWalls = 0.05f;
+  for (std::size_t i = 0; i < frame.size(); ++i) {
+    frame[i] = now->still[i] + kWorkLightOnWalls * now->albedo[i];
+  }
+  for (int y = boardLayer.y0; y < boardLayer.y1; ++y) {
+    for (int x = boardLayer.x0; x < boardLayer.x1; ++x) {
+      const auto i = static_cast<std::size_t>(y * kSize + x);
+      frame[i] += boardLayer.light[i] * illumination[i] - boardLayer.cover[i] * frame[i];
+    }
+  }
+}
+
 SourceView::SourceView(std::shared_ptr<const StillLife> stillLife, const Room& room,
                        LampMotion& motion, std::uint32_t seed,
-                       std::function<void(const Guide&)> onGuide)
-    : state_(
-          std::make_unique<State>(std::move(stillLife), room, motion, seed, std::move(onGuide))) {}
+                       std::function<void(const Guide&)> onGuide, const Play* play,
+                       const SourceSeat& seat)
+    : state_(std::make_unique<State>(std::move(stillLife), room, motion, seed, std::move(onGuide),
+                                     play, seat)) {}
 SourceView::~SourceView() = default;
 
 const Isometry3d& SourceView::sceneFromCamera() const { return state_->sceneFromCamera; }
+const FisheyeLens& SourceView::lens() const { return state_->lens; }
 
 void SourceView::guide(const Guide& guide) {
   if (state_->onGuide) state_->onGuide(guide);
 }
 
-bool SourceView::seesLamp(const LampState& lamp) const {
+bool SourceView::seesLamp(const LampState& lamp, RigProgram program) const {
   const State& s = *state_;
   // The sliding hand touches the lamp's disk at about half of its way.
   constexpr double kHandAtLamp = 0.45;
   if (!lamp.lit || lamp.cover > kHandAtLamp) return false;
   if (!s.lens.project(s.sceneFromCamera.inverse() * lamp.position)) return false;
-  return !s.stillLife->occluded(s.sceneFromCamera.translation().cast<float>(),
-                                lamp.position.cast<float>());
+  return !s.thingsIn(program)->occluded(s.sceneFromCamera.translation().cast<float>(),
+                                        lamp.position.cast<float>());
 }
 
 const std::vector<float>& SourceView::render(double timeSeconds, double exposureSeconds) {
   State& s = *state_;
+  const auto [program, since] = s.programAt(timeSeconds);
+  switch (program) {
+    case RigProgram::kBoard:
+      s.showBoard(timeSeconds - since, exposureSeconds);
+      return s.frame;
+    case RigProgram::kDiffuser:
+      for (std::size_t i = 0; i < s.frame.size(); ++i) {
+        s.frame[i] = kSourceDiffuserRadiance * s.illumination[i];
+      }
+      return s.frame;
+    case RigProgram::kDark:
+      std::fill(s.frame.begin(), s.frame.end(), 0.0f);
+      return s.frame;
+    case RigProgram::kStill:
+      s.show(program);
+      s.frame = s.now->still;
+      return s.frame;
+    case RigProgram::kLamp:
+    case RigProgram::kMirrorBall:
+      break;
+  }
+  s.show(program);
   s.motion.advanceTo(timeSeconds + exposureSeconds / 2);
   const LampState lamp = s.motion.at(timeSeconds);
+  const double lampRadiance = lamp.power * kLampRadiance;
 
   s.lightWalls(lamp);
   for (int y = 0; y < kSize; ++y) {
     const auto start = static_cast<std::size_t>(y) * kSize;
     const float* above = s.wallLight.data() + static_cast<std::size_t>(y / kCell) * kNodes;
     const float fraction = (static_cast<float>(y % kCell) + 0.5f) / kCell;
-    addWallLight(s.still.data() + start, s.albedo.data() + start, above, above + kNodes, fraction,
-                 s.frame.data() + start);
+    addWallLight(s.now->still.data() + start, s.now->albedo.data() + start, above, above + kNodes,
+                 fraction, s.frame.data() + start);
   }
   s.drawArm(lamp);
   if (!lamp.lit) return s.frame;
@@ -471,7 +625,7 @@ const std::vector<float>& SourceView::render(double timeSeconds, double exposure
     const double when = timeSeconds + ((i + 0.5) / steps - 0.5) * exposureSeconds;
     const Vector3d inCamera = s.sceneFromCamera.inverse() * s.motion.at(when).position;
     if (const auto disk = project(s.lens, inCamera, kLampRadiusMetres)) {
-      s.drawDisk(*disk, kLampRadiance / steps, uncovered, s.frame);
+      s.drawDisk(*disk, lampRadiance / steps, uncovered, s.frame);
     }
   }
   s.drawCover(lamp);
@@ -482,7 +636,7 @@ const std::vector<float>& SourceView::render(double timeSeconds, double exposure
           project(s.lens, s.sceneFromCamera.inverse() * lamp.position, kLampRadiusMetres)) {
     const Vector2d middle = Vector2d::Constant(kSize / 2.0);
     const Disk ghost{middle - 0.45 * (disk->centre - middle), kGhostPixels * Matrix2d::Identity()};
-    const double flux = uncovered * kLampRadiance * disk->area();
+    const double flux = uncovered * lampRadiance * disk->area();
     s.drawDisk(ghost, flux * kGhostShare / ghost.area(), 0, s.frame);
   }
   s.drawReflections(lamp);

@@ -11,11 +11,22 @@
 #include "capture/rig/fisheye_lens.h"
 #include "capture/rig/gige_device.h"
 #include "capture/rig/lamp_motion.h"
+#include "capture/rig/play.h"
 #include "capture/rig/room.h"
 #include "capture/rig/sensor.h"
 #include "capture/rig/still_life.h"
 
 namespace lightsketch {
+
+// Which of the two source cameras, and where it sits: beside the picture, a hand's breadth from the
+// subject, tilted some degrees and a little twisted, because nobody mounts a camera exactly. The
+// second is 0.3 m from the first.
+struct SourceSeat {
+  FisheyeLensShape lens;
+  Eigen::Isometry3d sceneFromCamera;
+};
+SourceSeat firstSourceSeat();
+SourceSeat secondSourceSeat();
 
 // 960 x 960 mono. Everything that stands still is rendered once; a frame costs the lamp, its glare
 // and reflections, the light it throws on the walls, the arm, and the noise. One thread calls
@@ -26,9 +37,11 @@ class SourceView final : public FrameSource {
   // Fraction of the full well that radiance 1 fills in one second: saturated at 0.4 in 1 ms.
   static constexpr double kSignalPerSecond = 2500;
 
-  // `motion` must outlive the view. `onGuide` is told what the program shows the person.
+  // `motion` and `play` must outlive the view. `onGuide` is told what the program shows the person.
+  // No play: the lamp's program for ever.
   SourceView(std::shared_ptr<const StillLife> stillLife, const Room& room, LampMotion& motion,
-             std::uint32_t seed, std::function<void(const Guide&)> onGuide = {});
+             std::uint32_t seed, std::function<void(const Guide&)> onGuide = {},
+             const Play* play = nullptr, const SourceSeat& seat = firstSourceSeat());
   ~SourceView() override;
 
   int sensorWidth() const override { return kSize; }
@@ -45,10 +58,12 @@ class SourceView final : public FrameSource {
 
   // Where the camera sits. Thread-safe.
   const Eigen::Isometry3d& sceneFromCamera() const;
+  const FisheyeLens& lens() const;
   // Nothing is between the camera and the lamp, which is lit and inside the field. Thread-safe.
-  bool seesLamp(const LampState& lamp) const;
+  bool seesLamp(const LampState& lamp, RigProgram program = RigProgram::kLamp) const;
 
  private:
+  struct Tableau;
   struct State;
   std::unique_ptr<State> state_;
 };

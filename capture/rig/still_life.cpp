@@ -39,6 +39,7 @@ struct Material {
   float bumpScale = 0.001f;
   float translucency = 0;
   float thickness = 0;
+  bool mirror = false;
 };
 
 struct Object {
@@ -370,6 +371,19 @@ Result<void> StillLife::State::read(const Json& json, const std::string& where) 
   return {};
 }
 
+// An object of one colour that stands where its mesh is put.
+Object plainObject(Mesh mesh, const Vector3f& position, const Vector3f& albedo) {
+  Object object;
+  object.mesh = std::move(mesh);
+  for (auto& p : object.mesh.positions) p += position;
+  object.objectFromScene = Eigen::Isometry3f::Identity();
+  object.objectFromScene.translation() = -position;
+  object.material.first = object.material.second = albedo;
+  object.material.specular.setZero();
+  object.material.roughness = 1;
+  return object;
+}
+
 Result<void> StillLife::State::build() {
   device = rtcNewDevice(nullptr);
   if (!device) return failure(ErrorCode::kDevice, "simulated rig: Embree cannot start");
@@ -435,6 +449,35 @@ Result<std::shared_ptr<const StillLife>> StillLife::load(const std::filesystem::
   return std::shared_ptr<const StillLife>(new StillLife(std::move(state)));
 }
 
+Result<std::shared_ptr<const StillLife>> StillLife::arranged(const Arrangement& a) const {
+  auto state = std::make_unique<State>();
+  state->sceneFromCamera = state_->sceneFromCamera;
+  state->horizontalField = state_->horizontalField;
+  state->tableHeight = state_->tableHeight;
+  state->tableHalfSize = state_->tableHalfSize;
+  const auto& objects = state_->objects;  // the first is the table
+  state->objects.assign(objects.begin(), a.objects ? objects.end() : objects.begin() + 1);
+  if (a.ball) {
+    Object ball = plainObject(makeEllipsoid(Vector3f::Constant(static_cast<float>(a.ball->radius))),
+                              a.ball->centre.cast<float>(), Vector3f::Zero());
+    // Chrome at normal incidence, linear sRGB.
+    ball.material.specular = Vector3f(0.549f, 0.556f, 0.554f);
+    ball.material.roughness = 0.03f;
+    ball.material.mirror = true;
+    state->objects.push_back(std::move(ball));
+  }
+  if (a.patch) {
+    const double height = a.patch->centre.z() - tableHeight();
+    const Vector3f size(static_cast<float>(a.patch->side), static_cast<float>(a.patch->side),
+                        static_cast<float>(height));
+    const Vector3f middle = (a.patch->centre - Eigen::Vector3d(0, 0, 0.5 * height)).cast<float>();
+    state->objects.push_back(
+        plainObject(makeBox(size, 0.0005f), middle, Vector3f::Constant(kReferencePatchAlbedo)));
+  }
+  RETURN_IF_ERROR(state->build());
+  return std::shared_ptr<const StillLife>(new StillLife(std::move(state)));
+}
+
 StillLife::StillLife(std::unique_ptr<State> state) : state_(std::move(state)) {}
 StillLife::~StillLife() = default;
 
@@ -465,6 +508,7 @@ std::optional<SurfacePoint> StillLife::hit(const Vector3f& origin,
   point.roughness = object.material.roughness;
   point.translucency = object.material.translucency;
   point.thickness = object.material.thickness;
+  point.mirror = object.material.mirror;
   return point;
 }
 

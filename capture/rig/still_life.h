@@ -26,6 +26,26 @@ struct SurfacePoint {
   float roughness = 1;              // GGX alpha is its square
   float translucency = 0;           // 0 opaque; how much light seeps through
   float thickness = 0;              // metres that light seeps through
+  bool mirror = false;              // of chrome: no lobe, lights in it are drawn one by one
+};
+
+struct MirrorBall {
+  Eigen::Vector3d centre;  // scene frame
+  double radius = 0;       // metres
+};
+
+// A matte white square on a foot, facing up, in the scene camera's view.
+struct ReferencePatch {
+  Eigen::Vector3d centre;  // of its face, scene frame
+  double side = 0;         // metres
+};
+inline constexpr float kReferencePatchAlbedo = 0.9f;
+
+// What stands on the table.
+struct Arrangement {
+  bool objects = true;  // those of the scene file
+  std::optional<MirrorBall> ball;
+  std::optional<ReferencePatch> patch;
 };
 
 // Immutable, so thread-safe.
@@ -33,6 +53,8 @@ class StillLife {
  public:
   // An empty path: the still life that is built in. Fails with file and field.
   static Result<std::shared_ptr<const StillLife>> load(const std::filesystem::path& path);
+  // The same table and camera, with other things on it.
+  Result<std::shared_ptr<const StillLife>> arranged(const Arrangement& arrangement) const;
   ~StillLife();
   StillLife(const StillLife&) = delete;
   StillLife& operator=(const StillLife&) = delete;
