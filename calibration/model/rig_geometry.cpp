@@ -31,6 +31,9 @@ Result<Eigen::Isometry3d> poseFromJson(const Json& json, std::string_view where)
 Json cameraToJson(const CameraPose& camera) {
   Json json = poseToJson(camera.sceneFromCamera);
   json["camera"] = camera.camera;
+  if (!camera.covariance.isZero(0)) {
+    json["covariance"] = toJson(Eigen::Map<const Eigen::VectorXd>(camera.covariance.data(), 36));
+  }
   return json;
 }
 
@@ -38,6 +41,15 @@ Result<CameraPose> cameraFromJson(const Json& json, std::string_view where) {
   CameraPose camera;
   ASSIGN_OR_RETURN(camera.camera, jsonString(json, "camera", where));
   ASSIGN_OR_RETURN(camera.sceneFromCamera, poseFromJson(json, where));
+  if (json.contains("covariance")) {
+    ASSIGN_OR_RETURN(const auto values, jsonVector(json, "covariance", 36, where));
+    camera.covariance = Eigen::Map<const Eigen::Matrix<double, 6, 6>>(values.data());
+    if (!camera.covariance.isApprox(camera.covariance.transpose(), 1e-6) ||
+        !(camera.covariance.diagonal().minCoeff() >= 0)) {
+      return failure(ErrorCode::kCorrupt, "{}: field 'covariance' is not a covariance matrix",
+                     where);
+    }
+  }
   return camera;
 }
 

@@ -17,6 +17,9 @@ namespace lightsketch {
 struct CameraPose {
   std::string camera;  // address or serial, as in the journal
   Eigen::Isometry3d sceneFromCamera = Eigen::Isometry3d::Identity();
+  // One sigma, of (rotation vector w, translation dt), radians and metres, scene frame, applied on
+  // the left: exp(w) R, t + dt. Zero where unknown.
+  Eigen::Matrix<double, 6, 6> covariance = Eigen::Matrix<double, 6, 6>::Zero();
 };
 
 struct RigGeometry {
@@ -29,7 +32,8 @@ struct RigGeometry {
 };
 
 // JSON, "format": "lightsketch-rig", "formatVersion": 1; a pose is {"rotation": [9, row-major],
-// "translationMetres": [3]}. Refuses rotations that are not orthonormal to 1e-6.
+// "translationMetres": [3]}, with "covariance": [36] where known. Refuses rotations that are not
+// orthonormal to 1e-6.
 Result<RigGeometry> loadRigGeometry(const std::filesystem::path& path);
 Result<RigGeometry> rigGeometryFromJson(const Json& json, std::string_view where);
 Json rigGeometryToJson(const RigGeometry& rig);

@@ -183,6 +183,9 @@ Json lightToJson(const LightDirection& light) {
                {"direction", toJson(light.direction)},
                {"covariance", matrixToJson<3>(light.covariance)}};
   if (light.position) json["positionMetres"] = toJson(*light.position);
+  if (!light.positionCovariance.isZero(0)) {
+    json["positionCovariance"] = matrixToJson<3>(light.positionCovariance);
+  }
   return json;
 }
 
@@ -199,6 +202,10 @@ Result<LightDirection> lightFromJson(const Json& event, std::string_view where) 
   if (type == "point") {
     ASSIGN_OR_RETURN(light.position, jsonVector(*json, "positionMetres", 3, where));
   }
+  if (json->contains("positionCovariance")) {
+    ASSIGN_OR_RETURN(light.positionCovariance,
+                     matrixFromJson<3>(*json, "positionCovariance", where));
+  }
   return light;
 }
 
@@ -209,19 +216,26 @@ Result<void> checkLight(const LightDirection& light, ErrorCode code, std::string
     return failure(code, "{}: the light direction ({}, {}, {}) is not a unit vector", where,
                    light.direction.x(), light.direction.y(), light.direction.z());
   }
-  if (!light.covariance.allFinite() || (light.position && !light.position->allFinite())) {
+  if (!light.covariance.allFinite() || !light.positionCovariance.allFinite() ||
+      (light.position && !light.position->allFinite())) {
     return failure(code, "{}: the light's covariance or position is not finite", where);
+  }
+  return {};
+}
+
+Result<void> checkLampScale(const std::array<double, 3>& lampScale, ErrorCode code,
+                            std::string_view where) {
+  for (const double scale : lampScale) {
+    if (!(scale > 0 && std::isfinite(scale))) {
+      return failure(code, "{}: lampScale must be positive", where);
+    }
   }
   return {};
 }
 
 Result<void> checkRecord(const FrameRecord& record, ErrorCode code, std::string_view where) {
   RETURN_IF_ERROR(checkLight(record.light, code, where));
-  for (const double scale : record.lampScale) {
-    if (!(scale > 0 && std::isfinite(scale))) {
-      return failure(code, "{}: lampScale must be positive", where);
-    }
-  }
+  RETURN_IF_ERROR(checkLampScale(record.lampScale, code, where));
   bool finite = true;
   for (const double value : {record.exposureSeconds, record.gainDb, record.midExposureSeconds,
                              record.pairingErrorSeconds, record.saturatedFraction}) {
@@ -346,6 +360,12 @@ struct Replay {
       ASSIGN_OR_RETURN(const auto light, lightFromJson(event, where));
       RETURN_IF_ERROR(checkLight(light, ErrorCode::kCorrupt, where));
       ASSIGN_OR_RETURN(record->calibrationId, jsonString(event, "calibrationId", where));
+      if (event.contains("lampScale")) {
+        ASSIGN_OR_RETURN(const auto values, jsonVector(event, "lampScale", 3, where));
+        const std::array<double, 3> scale{values[0], values[1], values[2]};
+        RETURN_IF_ERROR(checkLampScale(scale, ErrorCode::kCorrupt, where));
+        record->lampScale = scale;
+      }
       record->light = light;
     } else if (kind == "ambient") {
       ASSIGN_OR_RETURN(auto sum, jsonString(event, "checksum", where));
@@ -651,14 +671,18 @@ Result<void> Sketch::restore(int id) {
   return state_->writeAndApply(event);
 }
 
-Result<void> Sketch::relight(int id, const LightDirection& light,
-                             const std::string& calibrationId) {
+Result<void> Sketch::relight(int id, const LightDirection& light, const std::string& calibrationId,
+                             const std::optional<std::array<double, 3>>& lampScale) {
   RETURN_IF_ERROR(state_->frame(id));
   RETURN_IF_ERROR(checkLight(light, ErrorCode::kInvalidArgument, folder().string()));
+  if (lampScale) {
+    RETURN_IF_ERROR(checkLampScale(*lampScale, ErrorCode::kInvalidArgument, folder().string()));
+  }
   Json event = eventOf("relight");
   event["id"] = id;
   event["light"] = lightToJson(light);
   event["calibrationId"] = calibrationId;
+  if (lampScale) event["lampScale"] = *lampScale;
   return state_->writeAndApply(event);
 }
 

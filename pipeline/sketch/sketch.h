@@ -106,7 +106,9 @@ class Sketch {
   // Durable on return. Dropping a dropped frame and restoring one that is not say nothing.
   Result<void> drop(int id, const std::string& reason);
   Result<void> restore(int id);
-  Result<void> relight(int id, const LightDirection& light, const std::string& calibrationId);
+  // Without `lampScale` the frame keeps its own.
+  Result<void> relight(int id, const LightDirection& light, const std::string& calibrationId,
+                       const std::optional<std::array<double, 3>>& lampScale = std::nullopt);
   Result<void> note(const std::string& text);
 
   Result<void> writeAmbient(const RadianceImage& radiance);

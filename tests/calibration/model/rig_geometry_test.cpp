@@ -15,6 +15,8 @@ RigGeometry sample() {
   rig.sourceCameras.push_back(
       {"source", Eigen::Translation3d(0, 0.3, 0) *
                      Eigen::AngleAxisd(-1.2, Eigen::Vector3d(1, 2, 3).normalized())});
+  rig.sourceCameras[0].covariance =
+      Eigen::Matrix<double, 6, 1>(1e-6, 2e-6, 3e-6, 1e-8, 2e-8, 1e-7 / 3).asDiagonal();
   rig.lampRadiusMetres = 0.8;
   return rig;
 }
@@ -29,6 +31,8 @@ TEST(RigGeometry, RoundTripIsExact) {
   ASSERT_EQ(loaded.sourceCameras.size(), 1u);
   EXPECT_EQ(loaded.sourceCameras[0].sceneFromCamera.matrix(),
             rig.sourceCameras[0].sceneFromCamera.matrix());
+  EXPECT_EQ(loaded.sourceCameras[0].covariance, rig.sourceCameras[0].covariance);
+  EXPECT_TRUE(loaded.sceneCamera.covariance.isZero(0));
   EXPECT_EQ(loaded.lampRadiusMetres, 0.8);
 }
 
@@ -50,6 +54,9 @@ TEST(RigGeometry, RefusesWhatIsNotARigWithField) {
   json = good;
   json["sourceCameras"] = Json::array();
   EXPECT_NE(complaint(json).find("sourceCameras"), std::string::npos);
+  json = good;
+  json["sourceCameras"][0]["covariance"][0] = -1;
+  EXPECT_NE(complaint(json).find("covariance"), std::string::npos);
   json = good;
   json["lampRadiusMetres"] = -1;
   EXPECT_NE(complaint(json).find("lampRadiusMetres"), std::string::npos);

@@ -185,6 +185,27 @@ TEST_F(SketchOnDisk, EditsAreEventsAndNothingIsRewritten) {
   EXPECT_EQ(sketch.frames()[0].calibrationId, "new-lens");
 }
 
+TEST_F(SketchOnDisk, RelightKeepsThePositionAndReplacesTheLampScaleOnlyIfAsked) {
+  createWithFrames(2);
+  LightDirection light;
+  light.direction = Eigen::Vector3d::UnitY();
+  light.position = Eigen::Vector3d(0, 0.75, 0);
+  light.positionCovariance = Eigen::Vector3d(1e-6, 2e-6, 1.0 / 3).asDiagonal();
+  {
+    auto sketch = Sketch::openForAppend(folder()).value();
+    ASSERT_TRUE(sketch.relight(0, light, "lens", std::array<double, 3>{1.5, 0.5, 1.0 / 3}));
+    ASSERT_TRUE(sketch.relight(0, light, "better lens"));
+    EXPECT_FALSE(sketch.relight(1, light, "lens", std::array<double, 3>{1, 0, 1}));
+  }
+  const auto sketch = Sketch::open(folder()).value();
+  EXPECT_EQ(sketch.frames()[0].lampScale, (std::array<double, 3>{1.5, 0.5, 1.0 / 3}));
+  EXPECT_EQ(sketch.frames()[0].calibrationId, "better lens");
+  EXPECT_EQ(sketch.frames()[0].light.position, light.position);
+  EXPECT_EQ(sketch.frames()[0].light.positionCovariance, light.positionCovariance);
+  EXPECT_EQ(sketch.frames()[1].lampScale, (std::array<double, 3>{1, 1, 1}));
+  EXPECT_FALSE(sketch.frames()[1].light.position);
+}
+
 TEST_F(SketchOnDisk, GoesOnWhereItStopped) {
   createWithFrames(2);
   {
