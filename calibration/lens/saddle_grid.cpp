@@ -1,10 +1,12 @@
 #include "calibration/lens/saddle_grid.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <opencv2/imgproc.hpp>
 #include <set>
+#include <tuple>
 
 namespace lightsketch {
 namespace {
@@ -31,6 +33,40 @@ const Vector2d* pointAt(const SaddleGrid& grid, const GridPlace& place) {
 }
 
 }  // namespace
+
+std::optional<Vector2d> refineSaddle(const cv::Mat& smooth, const Vector2d& start, double sigma) {
+  // A window cut nearer than this pulls the answer to the middle of its pixel.
+  const int reach = static_cast<int>(std::ceil(3.2 * sigma));
+  Vector2d p = start;
+  for (int round = 0; round < 10; ++round) {
+    const int cx = static_cast<int>(std::lround(p.x()));
+    const int cy = static_cast<int>(std::lround(p.y()));
+    if (cx < reach || cy < reach || cx >= smooth.cols - reach || cy >= smooth.rows - reach) {
+      return std::nullopt;
+    }
+    Eigen::Matrix<double, 6, 6> normal = Eigen::Matrix<double, 6, 6>::Zero();
+    Eigen::Matrix<double, 6, 1> right = Eigen::Matrix<double, 6, 1>::Zero();
+    for (int y = cy - reach; y <= cy + reach; ++y) {
+      for (int x = cx - reach; x <= cx + reach; ++x) {
+        const double u = x - p.x();
+        const double v = y - p.y();
+        const double weight = std::exp(-(u * u + v * v) / (2 * sigma * sigma));
+        const Eigen::Matrix<double, 6, 1> terms{u * u, u * v, v * v, u, v, 1};
+        normal.noalias() += weight * terms * terms.transpose();
+        right.noalias() += weight * smooth.at<float>(y, x) * terms;
+      }
+    }
+    const Eigen::Matrix<double, 6, 1> q = normal.ldlt().solve(right);
+    const double determinant = 4 * q[0] * q[2] - q[1] * q[1];
+    if (!(determinant < 0)) return std::nullopt;
+    Vector2d step((q[1] * q[4] - 2 * q[2] * q[3]) / determinant,
+                  (q[1] * q[3] - 2 * q[0] * q[4]) / determinant);
+    if (step.norm() > 1) step.normalize();
+    p += step;
+    if (step.norm() < 1e-3) return p;
+  }
+  return std::nullopt;
+}
 
 SaddleFinder::SaddleFinder(const cv::Mat& grey) : grey_(grey) {
   cv::GaussianBlur(grey_, smooth_, {0, 0}, 1.2);
@@ -294,6 +330,25 @@ std::optional<std::pair<Vector2d, double>> SaddleFinder::predict(const SaddleGri
   }
   if (weight == 0) return std::nullopt;
   return std::pair(Vector2d(sum / weight), step / weight);
+}
+
+void SaddleFinder::prune(SaddleGrid& grid) {
+  // predict() looks at places up to three away in a line.
+  const auto deviation = [&](const SaddleGrid::value_type& entry) {
+    const auto guess = predict(grid, entry.first);
+    if (!guess) return 0.0;
+    return (guess->first - entry.second.saddle.point).norm() / guess->second;
+  };
+  for (;;) {
+    auto worst = grid.end();
+    double largest = 0.25;
+    for (auto it = grid.begin(); it != grid.end(); ++it) {
+      const double d = deviation(*it);
+      if (d > largest) std::tie(largest, worst) = std::pair(d, it);
+    }
+    if (worst == grid.end()) return;
+    grid.erase(worst);
+  }
 }
 
 std::optional<GridCorner> SaddleFinder::locate(const Vector2d& near, double step,

@@ -38,6 +38,11 @@ inline double rayAngle(const GridCorner& corner, int direction) {
 // True where the square between +column and +row of a corner is bright.
 inline bool brightDiagonal(const GridCorner& corner) { return (4 - corner.turn) % 2 == 0; }
 
+// The saddle of a quadric fitted under a Gaussian weight of `sigma` pixels, from within two pixels
+// of it; after Lucchese and Mitra 2002. `smooth`: CV_32F, lightly smoothed.
+std::optional<Eigen::Vector2d> refineSaddle(const cv::Mat& smooth, const Eigen::Vector2d& start,
+                                            double sigma);
+
 // Grey level 0..1, float.
 class SaddleFinder {
  public:
@@ -69,6 +74,9 @@ class SaddleFinder {
   // it is.
   static std::optional<std::pair<Eigen::Vector2d, double>> predict(const SaddleGrid& grid,
                                                                    const GridPlace& place);
+  // Takes out corners that lie more than a quarter of a step from where their neighbours say, the
+  // worst first.
+  static void prune(SaddleGrid& grid);
   // Looks for the saddle within a third of `step` of `near`; its +column ray must lie within 35
   // degrees of `columnAngle` and the square beyond be as `bright` says.
   std::optional<GridCorner> locate(const Eigen::Vector2d& near, double step, double columnAngle,
