@@ -20,6 +20,7 @@ constexpr double kMissedAfterSeconds = 0.8;
 // In vain: longer than it takes to get there unhurriedly and to try for a while.
 constexpr double kPatienceSeconds = 1.5;
 constexpr double kUnseenSeconds = 0.7;
+constexpr double kHoldSeconds = 5;
 constexpr double kUnhurried = Angle::degrees(20).radians();  // a second
 constexpr std::chrono::milliseconds kBetweenWrites{100};
 
@@ -29,7 +30,7 @@ double angleBetween(const Vector3d& a, const Vector3d& b) {
 
 }  // namespace
 
-GuidePlan::GuidePlan() : leadSeconds_(kFirstLeadSeconds) {}
+GuidePlan::GuidePlan(bool hold) : hold_(hold), leadSeconds_(kFirstLeadSeconds) {}
 
 void GuidePlan::choose(const Coverage& coverage, double seconds, const Vector3d& from,
                        const Vector3d& heading) {
@@ -41,7 +42,8 @@ void GuidePlan::choose(const Coverage& coverage, double seconds, const Vector3d&
   targetSince_ = seconds;
   if (target_) {
     const Vector3d& aim = coverage.grid().directions()[static_cast<std::size_t>(*target_)];
-    allowedSeconds_ = kPatienceSeconds + angleBetween(lastSeen_, aim) / kUnhurried;
+    allowedSeconds_ =
+        kPatienceSeconds + angleBetween(lastSeen_, aim) / kUnhurried + (hold_ ? kHoldSeconds : 0);
   }
 }
 
@@ -83,7 +85,7 @@ void GuidePlan::follow(const Coverage& coverage, double seconds, const Vector3d&
   const Vector3d& aim = coverage.grid().directions()[static_cast<std::size_t>(*target_)];
   const Vector3d way = aim - lamp;
   const double closing = way.norm() > 0 ? velocity.dot(way.normalized()) : velocity.norm();
-  if (closing > 0 && angleBetween(lamp, aim) < leadSeconds_ * closing) {
+  if (!hold_ && closing > 0 && angleBetween(lamp, aim) < leadSeconds_ * closing) {
     passing_.push_back({*target_, seconds + kMissedAfterSeconds});
     choose(coverage, seconds, aim, way);
   } else if (seconds - targetSince_ > allowedSeconds_) {

@@ -21,7 +21,8 @@ namespace lightsketch {
 // whether targets are hit or missed. Not thread-safe.
 class GuidePlan {
  public:
-  GuidePlan();
+  // `hold`: the lamp is to stay at each target until that is captured.
+  explicit GuidePlan(bool hold = false);
   // `seconds` on any clock that never goes back; the lamp where it was seen last, and its velocity
   // in radians per second.
   void update(const Coverage& coverage, double seconds, const Eigen::Vector3d& lamp,
@@ -41,6 +42,7 @@ class GuidePlan {
               const Eigen::Vector3d& velocity);
   void choose(const Coverage& coverage, double seconds, const Eigen::Vector3d& from,
               const Eigen::Vector3d& heading);
+  const bool hold_;
   std::optional<int> target_;
   double leadSeconds_;
   std::optional<double> unseenSince_;

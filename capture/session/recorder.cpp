@@ -15,6 +15,7 @@
 #include "capture/session/guide.h"
 #include "capture/session/pairing.h"
 #include "pipeline/hdr/linearise.h"
+#include "pipeline/hdr/merge.h"
 #include "pipeline/sketch/image_file.h"
 
 namespace lightsketch {
@@ -109,6 +110,19 @@ Result<void> validate(const RecorderOptions& o) {
   RETURN_IF_ERROR(positive(o.maxPairingSeconds, "the pairing limit"));
   RETURN_IF_ERROR(positive(o.maxLampMotion.radians(), "the lamp's motion limit"));
   if (o.timeLimitSeconds) RETURN_IF_ERROR(positive(*o.timeLimitSeconds, "the time limit"));
+  if (!o.bracket.empty() && o.keepRaw) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "a bracket is merged to one frame; it has no raw frame to keep");
+  }
+  for (const double factor : o.bracket) {
+    RETURN_IF_ERROR(positive(factor, "an exposure of the bracket"));
+    if (factor * o.sceneExposureSeconds > 0.95 / o.framesPerSecond) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "the bracket's exposure of {:.3g} s does not fit into the frame interval; use "
+                     "a shorter --exposure or a lower --rate",
+                     factor * o.sceneExposureSeconds);
+    }
+  }
   if (!(o.coverageGoal > 0 && o.coverageGoal <= 1)) {
     return failure(ErrorCode::kInvalidArgument, "the coverage goal must be above 0 and at most 1");
   }
@@ -175,6 +189,7 @@ class Recording {
         onState_(std::move(onState)),
         sketch_(std::move(sketch)),
         coverage_(std::move(coverage)),
+        plan_(!options.bracket.empty()),
         wanted_(static_cast<int>(
             std::ceil(options.coverageGoal * static_cast<double>(coverage_.grid().size()) - 1e-9))),
         guide_(sources.front().camera, [&progress](const Error& error) {
@@ -184,6 +199,7 @@ class Recording {
       sources_.push_back(
           std::make_unique<SourceStream>(sources[i], rig.sourceCameras[i], rig, options));
     }
+    linearise_.sensor = options.sceneSensor;
     linearise_.blackLevel = options.sceneBlackLevel;
     linearise_.referenceExposureSeconds = sceneSettings.exposureSeconds.value_or(0);
     linearise_.referenceGainDb = sceneSettings.gainDb.value_or(0);
@@ -197,6 +213,7 @@ class Recording {
       ++summary_.resumedFrom;
     }
     ambientPhase_ = options.ambientSeconds > 0;
+    exposing_ = options.sceneExposureSeconds;
     durable_ = coverage_.capturedCount();
   }
 
@@ -272,6 +289,9 @@ class Recording {
   Result<void> takeAmbient(const Frame& frame);
   tl::expected<Lit, Refusal> lightOn(const Frame& frame);
   Result<Refusal> judge(const Frame& frame);
+  Result<bool> goOnWithBracket(const Frame& frame, const Lit& lit);
+  Result<void> endBracket();
+  Result<void> expose(double seconds);
   void guideOn(double seconds);
   void report();
   RecorderSummary summarise();
@@ -298,6 +318,9 @@ class Recording {
   int width_ = 0;
   int height_ = 0;
   std::optional<double> lampDistance_;  // as triangulated last, metres
+  std::vector<Frame> bracket_;          // so far
+  Vector3d bracketDirection_ = Vector3d::UnitZ();
+  double exposing_ = 0;  // seconds that the scene camera is set to
 
   const int wanted_;
   double secondsBefore_ = 0;  // a resumed recording's clock goes on from here
@@ -452,15 +475,33 @@ tl::expected<Recording::Lit, Refusal> Recording::lightOn(const Frame& frame) {
 Result<Refusal> Recording::judge(const Frame& frame) {
   const FrameMetadata& metadata = frame.metadata;
   const auto lit = lightOn(frame);
-  if (!lit) return lit.error();
+  if (!lit) {
+    RETURN_IF_ERROR(endBracket());
+    return lit.error();
+  }
   const LightDirection& light = lit->light;
   if (lit->seen.size() > 1 && light.position) lampDistance_ = light.position->norm();
   const auto cell = coverage_.cellOf(light.direction);
-  if (!cell) return Refusal::kOutsideGrid;
-  if (coverage_.captured(*cell)) return Refusal::kNotNew;
+  if (!cell || coverage_.captured(*cell)) {
+    RETURN_IF_ERROR(endBracket());
+    return cell ? Refusal::kNotNew : Refusal::kOutsideGrid;
+  }
 
   // Only now does the frame cost something.
-  ASSIGN_OR_RETURN(auto linear, linearise(frame, linearise_));
+  LinearFrame linear;
+  if (options_.bracket.empty()) {
+    ASSIGN_OR_RETURN(linear, linearise(frame, linearise_));
+  } else {
+    ASSIGN_OR_RETURN(const bool whole, goOnWithBracket(frame, *lit));
+    if (!whole) return Refusal::kBracketing;
+    MergeOptions merge;
+    merge.sensor = options_.sceneSensor;
+    merge.blackLevel = options_.sceneBlackLevel;
+    merge.referenceExposureSeconds = linearise_.referenceExposureSeconds;
+    merge.referenceGainDb = linearise_.referenceGainDb;
+    ASSIGN_OR_RETURN(linear, mergeBracketFrames(bracket_, merge));
+    RETURN_IF_ERROR(endBracket());
+  }
   if (linear.saturatedFraction > options_.maxSaturatedFraction) return Refusal::kSaturated;
   for (std::size_t i = 0; i < ambient_.size(); ++i) {
     linear.radiance.data()[i] -= ambient_.data()[i];
@@ -475,7 +516,8 @@ Result<Refusal> Recording::judge(const Frame& frame) {
   }
   if (light.position)
     record.lampScale.fill(lampFallOff(light.position->norm(), referenceDistance(rig_)));
-  record.exposureSeconds = metadata.exposureSeconds;
+  record.exposureSeconds =
+      options_.bracket.empty() ? metadata.exposureSeconds : linearise_.referenceExposureSeconds;
   record.gainDb = metadata.gainDb;
   record.midExposureSeconds = secondsBefore_ + toSeconds(metadata.midExposure - *firstFrame_);
   const PairedLamp& paired = lit->paired.front();
@@ -488,12 +530,50 @@ Result<Refusal> Recording::judge(const Frame& frame) {
                   {"timeUncertaintySeconds", toSeconds(metadata.timeUncertainty)},
                   {"lampConfidence", paired.lamp.confidence},
                   {"lampFlux", paired.lamp.flux}};
+  if (!options_.bracket.empty()) record.gates["bracket"] = options_.bracket;
   // A disk that cannot keep up costs this frame, not the stream; its direction stays open.
   if (writeQueue_.push({std::move(record), std::move(linear.radiance),
                         options_.keepRaw ? std::optional(frame) : std::nullopt})) {
     coverage_.add(light.direction);
   }
   return Refusal::kNone;
+}
+
+// Adds the frame to the bracket if it has the exposure that is due and the lamp is where it was at
+// the bracket's start; begins anew where it is not. True once the bracket is whole.
+Result<bool> Recording::goOnWithBracket(const Frame& frame, const Lit& lit) {
+  if (!bracket_.empty() && std::acos(std::clamp(lit.light.direction.dot(bracketDirection_), -1.0,
+                                                1.0)) > options_.maxLampMotion.radians()) {
+    RETURN_IF_ERROR(endBracket());
+  }
+  const double due = options_.bracket[bracket_.size()] * options_.sceneExposureSeconds;
+  if (std::abs(frame.metadata.exposureSeconds / due - 1) < 0.01) {
+    if (bracket_.empty()) bracketDirection_ = lit.light.direction;
+    bracket_.push_back(frame);
+    if (bracket_.size() == options_.bracket.size()) return true;
+  }
+  RETURN_IF_ERROR(expose(options_.bracket[bracket_.size()] * options_.sceneExposureSeconds));
+  return false;
+}
+
+// Back to the exposure that the next bracket begins with.
+Result<void> Recording::endBracket() {
+  if (options_.bracket.empty()) return {};
+  bracket_.clear();
+  return expose(options_.bracket.front() * options_.sceneExposureSeconds);
+}
+
+Result<void> Recording::expose(double seconds) {
+  if (seconds == exposing_) return {};
+  CameraSettings settings;
+  settings.exposureSeconds = seconds;
+  ASSIGN_OR_RETURN(const CameraSettings now, sceneCamera_.configure(settings));
+  if (now.exposureSeconds && std::abs(*now.exposureSeconds / seconds - 1) > 0.01) {
+    return failure(ErrorCode::kDevice, "scene camera {} exposes for {} s where {} s are asked for",
+                   sceneCamera_.info().address, *now.exposureSeconds, seconds);
+  }
+  exposing_ = seconds;
+  return {};
 }
 
 void Recording::guideOn(double seconds) {
@@ -700,6 +780,8 @@ std::string describe(Refusal refusal) {
       return "beyond the calibrated field";
     case Refusal::kUncertain:
       return "light's direction too uncertain";
+    case Refusal::kBracketing:
+      return "part of a bracket";
   }
   return "unknown";
 }

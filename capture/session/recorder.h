@@ -16,6 +16,7 @@
 
 #include "calibration/model/camera_model.h"
 #include "calibration/model/rig_geometry.h"
+#include "calibration/model/sensor_model.h"
 #include "capture/device/camera.h"
 #include "capture/frame/progress.h"
 #include "capture/frame/result.h"
@@ -36,6 +37,7 @@ enum class Refusal {
   kOutsideGrid,        // below the hemisphere that is wanted
   kBeyondCalibration,  // where no board was when the lens was calibrated
   kUncertain,          // the light's direction at the subject is not known well enough
+  kBracketing,         // part of a bracket that is being taken
 };
 std::string describe(Refusal refusal);  // "lamp too fast"
 
@@ -56,6 +58,10 @@ struct RecorderOptions {
   // when the scene is at its darkest, and the tracker learns the lights of the room. 0: no such
   // phase.
   double ambientSeconds = 1.5;
+  // Several exposures for each direction, as factors of sceneExposureSeconds, merged to one frame;
+  // the lamp has to be held still for them. Empty: one exposure a frame. The longest must fit into
+  // the frame interval.
+  std::vector<double> bracket;
   bool keepRaw = false;         // the sensor's counts beside each frame, frames/000123.raw.png
   bool subtractAmbient = true;  // else kept beside the frames
   double sceneExposureSeconds = 0.02;
@@ -63,6 +69,9 @@ struct RecorderOptions {
   double sceneGainDb = 0;
   double sourceGainDb = 0;
   double sceneBlackLevel = 0;  // counts of the format
+  // The scene camera's response, noise, dark frame, hot pixels and flat field (`calibrate
+  // response`); without it the sensor is taken to be linear with sceneBlackLevel.
+  std::shared_ptr<const SensorModel> sceneSensor;
   double sourceBlackLevel = 0;
   double framesPerSecond = 12;
   PixelFormat sceneFormat = PixelFormat::kBayerRG12;

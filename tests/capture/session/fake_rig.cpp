@@ -23,7 +23,9 @@ class FakeCamera final : public Camera {
 
   const CameraInfo& info() const override { return info_; }
   Result<CameraSettings> configure(const CameraSettings& settings) override {
-    settings_ = settings;
+    const std::lock_guard lock(mutex_);
+    if (settings.exposureSeconds) settings_.exposureSeconds = settings.exposureSeconds;
+    if (settings.gainDb) settings_.gainDb = settings.gainDb;
     settings_.format = PixelFormat::kMono8;
     settings_.region = isSource_ ? Region{0, 0, kSourceSize, kSourceSize}
                                  : Region{0, 0, rig_.sceneWidth.load(), FakeRig::kSceneHeight};
@@ -74,8 +76,11 @@ class FakeCamera final : public Camera {
     Frame frame;
     frame.metadata.id = id;
     frame.metadata.midExposure = frame.metadata.arrival = time;
-    frame.metadata.exposureSeconds = settings_.exposureSeconds.value_or(0.01);
-    frame.metadata.gainDb = settings_.gainDb.value_or(0);
+    {
+      const std::lock_guard lock(mutex_);
+      frame.metadata.exposureSeconds = settings_.exposureSeconds.value_or(0.01);
+      frame.metadata.gainDb = settings_.gainDb.value_or(0);
+    }
     frame.width = isSource_ ? kSourceSize : rig_.sceneWidth.load();
     frame.height = isSource_ ? kSourceSize : FakeRig::kSceneHeight;
     const std::size_t pixels =
@@ -85,7 +90,13 @@ class FakeCamera final : public Camera {
           rig_.saturate
               ? 255
               : FakeRig::kAmbientCounts + (lamp.lit ? FakeRig::lampCounts(lamp.direction) : 0);
-      frame.bytes.assign(pixels, static_cast<std::uint8_t>(std::lround(counts)));
+      const double exposed = counts * frame.metadata.exposureSeconds / FakeRig::kExposureSeconds;
+      frame.bytes.assign(pixels, static_cast<std::uint8_t>(std::lround(std::min(exposed, 255.0))));
+      // A highlight in one corner, four times too bright for the usual exposure.
+      if (lamp.lit) {
+        frame.bytes[0] =
+            static_cast<std::uint8_t>(std::lround(std::min(exposed * FakeRig::kHighlight, 255.0)));
+      }
       return frame;
     }
     frame.bytes.assign(pixels, 12);
@@ -110,6 +121,7 @@ class FakeCamera final : public Camera {
   const bool isSource_;
   const bool guided_;
   CameraInfo info_;
+  std::mutex mutex_;  // Guards settings_.
   CameraSettings settings_;
   Eigen::Vector3d guide_ = Eigen::Vector3d::UnitZ();
   std::atomic<std::uint64_t> delivered_ = 0;

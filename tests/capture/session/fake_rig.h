@@ -32,6 +32,8 @@ class FakeRig {
   // Counts of 255 that the scene camera sees of a lamp in a direction, and without it.
   static double lampCounts(const Eigen::Vector3d& direction) { return 90 + 60 * direction.x(); }
   static constexpr double kAmbientCounts = 20;
+  static constexpr double kExposureSeconds = 0.002;  // these are counts of
+  static constexpr double kHighlight = 8;            // brighter is the pixel in the corner
 
   // Knobs, set before the cameras start or from any thread.
   std::atomic<bool> lampVisible = true;  // to the source camera

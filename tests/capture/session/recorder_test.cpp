@@ -27,7 +27,7 @@ class Recorder : public testing::Test {
     options_.directions = 64;
     options_.coverageGoal = 0.9;
     options_.ambientSeconds = 0.3;
-    options_.sceneExposureSeconds = 0.002;
+    options_.sceneExposureSeconds = FakeRig::kExposureSeconds;
     options_.timeLimitSeconds = 60;  // a safety net: no test waits for it
   }
   ~Recorder() override { fs::remove_all(folder_); }
@@ -56,6 +56,29 @@ class Recorder : public testing::Test {
   SilentProgress progress_;
   std::stop_source stop_;
 };
+
+TEST_F(Recorder, MergesABracketWhileTheLampIsHeldStill) {
+  FakeRig rig(true);
+  options_.bracket = {1, 0.25, 1 / 16.0};
+  options_.framesPerSecond = 60;
+  options_.coverageGoal = 0.15;
+  const auto summary = run(rig);
+  ASSERT_TRUE(summary) << summary.error().message;
+  EXPECT_EQ(summary->ended, "coverage goal reached");
+  EXPECT_GT(summary->refusals.at(Refusal::kBracketing), summary->recorded);
+  const auto sketch = Sketch::open(folder_).value();
+  ASSERT_GE(sketch.frames().size(), 8u);
+  for (const FrameRecord& frame : sketch.frames()) {
+    const auto image = sketch.readFrame(frame.id).value();
+    const double lamp = FakeRig::lampCounts(frame.light.direction) / 255;
+    const double ambient = FakeRig::kAmbientCounts / 255;
+    // One count of the longest exposure that does not saturate; the lamp creeps while it is held.
+    EXPECT_NEAR(image(5, 5, 0), lamp, 2.0 / 255);
+    EXPECT_NEAR(image(0, 0, 0), FakeRig::kHighlight * (lamp + ambient) - ambient, 20.0 / 255);
+    EXPECT_GT(image(0, 0, 0), 1.5);  // far beyond saturation of one frame
+    EXPECT_EQ(frame.gates["bracket"].size(), 3u);
+  }
+}
 
 TEST_F(Recorder, CapturesTheWantedDirectionsWithTheirTrueLight) {
   FakeRig rig(true);
