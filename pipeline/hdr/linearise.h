@@ -1,6 +1,9 @@
 // From what a camera sent to linear radiance.
 #pragma once
 
+#include <memory>
+
+#include "calibration/model/sensor_model.h"
 #include "capture/frame/frame.h"
 #include "capture/frame/image.h"
 #include "capture/frame/result.h"
@@ -8,7 +11,9 @@
 namespace lightsketch {
 
 struct LineariseOptions {
-  double blackLevel = 0;                // in counts of the frame's format
+  // What is known of the camera. Without it the sensor is taken to be linear with `blackLevel`.
+  std::shared_ptr<const SensorModel> sensor;
+  double blackLevel = 0;                // in counts of the frame's format; unused with `sensor`
   double referenceExposureSeconds = 0;  // radiance 1.0 is saturation at this exposure and gain;
   double referenceGainDb = 0;           // 0 seconds: the frame's own exposure and gain
 };
@@ -18,10 +23,16 @@ struct LinearFrame {
   double saturatedFraction = 0;  // pixels with a sample at the format's maximum
 };
 
-// Black level, exposure and gain, demosaic (Malvar, He, Cutler 2004, linear 5x5, on floats; the
-// picture is mirrored at its edges). The sensor is taken to be linear. Values below black stay
-// negative, so that means stay unbiased. Fails for a frame whose bytes do not fit its size, a black
-// level outside the format's range, or a reference exposure without the frame's own. Thread-safe.
+// Dark frame or black level, response, exposure and gain, flat field, hot pixels, demosaic (Malvar,
+// He, Cutler 2004, linear 5x5, on floats; the picture is mirrored at its edges). Values below black
+// stay negative, so that means stay unbiased. Fails for a frame whose bytes do not fit its size or
+// its sensor model, a black level outside the format's range, or a reference exposure without the
+// frame's own. Thread-safe.
 Result<LinearFrame> linearise(const Frame& frame, const LineariseOptions& options = {});
+
+// What a frame's exposures (1 is its own saturation) are multiplied by to count in saturations at
+// the reference exposure and gain. Fails where the frame's exposure time is unknown.
+Result<double> referenceScale(const FrameMetadata& metadata, double referenceExposureSeconds,
+                              double referenceGainDb);
 
 }  // namespace lightsketch
