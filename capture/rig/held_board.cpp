@@ -52,7 +52,7 @@ double workLight(const Vector3d& position, const Vector3d& normal) {
   const Vector3d to = Vector3d(0.5, -0.9, 1.45) - position;
   const double distance = to.norm();
   return kStrength * ((1 - kDirected) + kDirected * std::max(0.0, normal.dot(to) / distance)) *
-         std::pow(kReference / distance, 1.0);
+         kReference / distance;
 }
 
 Result<HeldBoard> HeldBoard::create(const RigBoard& board, const BoardAudience& audience) {
@@ -171,17 +171,17 @@ Isometry3d HeldBoard::poseOf(const Quaterniond& rotation, const Vector3d& centre
   return pose;
 }
 
-// A stop with the front towards `front` and the print's top towards `up`, then rolled. It is lifted
-// clear of the table; `standing`: set down on it.
-void HeldBoard::addStop(const Vector3d& centre, const Vector3d& front, const Vector3d& up,
-                        double rollDegrees, double tableHeight, bool standing) {
+// A stop with the front towards `front` and the print's top towards `up`, then rolled.
+HeldBoard::Stop HeldBoard::stopAt(const Vector3d& centre, const Vector3d& front, const Vector3d& up,
+                                  double rollDegrees, double tableHeight,
+                                  std::optional<double> standingAt) const {
   Eigen::Matrix3d rotation;
   rotation.col(2) = -front.normalized();
   rotation.col(1) = -(up - up.dot(rotation.col(2)) * rotation.col(2)).normalized();
   rotation.col(0) = rotation.col(1).cross(rotation.col(2));
   rotation = rotation * Eigen::AngleAxisd(rollDegrees * kDegree, Vector3d::UnitZ());
 
-  Stop stop{Quaterniond(rotation), centre, 0, 0};
+  Stop stop{Quaterniond(rotation), centre};
   const Isometry3d pose = poseOf(stop.rotation, centre);
   const double s = board_.spacingMetres, m = board_.marginMetres;
   double lowest = std::numeric_limits<double>::max();
@@ -192,13 +192,17 @@ void HeldBoard::addStop(const Vector3d& centre, const Vector3d& front, const Vec
       lowest = std::min(lowest, (pose * p).z());
     }
   }
-  const double clear = tableHeight + 0.0005 - lowest;
-  if (standing || clear > 0) stop.centre.z() += clear;
+  constexpr double kClear = 0.0005;
+  const double lift = tableHeight + kClear + standingAt.value_or(0) - lowest;
+  if (standingAt || lift > 0) stop.centre.z() += lift;
+  return stop;
+}
 
+void HeldBoard::add(Stop stop) {
   if (!stops_.empty()) {
     const double way = (stop.centre - stops_.back().centre).norm() +
                        0.12 * stop.rotation.angularDistance(stops_.back().rotation);
-    stop.arriveSeconds = stops_.back().leaveSeconds + 0.3 + 0.6 * way;
+    stop.arriveSeconds = stops_.back().leaveSeconds + 0.3 + 0.5 * way;
   }
   stop.leaveSeconds = stop.arriveSeconds + kStillSeconds;
   stops_.push_back(stop);
@@ -213,8 +217,8 @@ void HeldBoard::showTo(const BoardAudience& audience) {
     const auto show = [&](double theta, double azimuth, double distance, double tilt, double tiltTo,
                           double roll) {
       const Vector3d direction = camera.linear() * spherical(theta * kDegree, azimuth * kDegree);
-      addStop(eye + distance * direction, tilted(-direction, tilt * kDegree, tiltTo * kDegree),
-              camera.linear() * Vector3d(0.1, -1, 0.05), roll, table, false);
+      add(stopAt(eye + distance * direction, tilted(-direction, tilt * kDegree, tiltTo * kDegree),
+                 camera.linear() * Vector3d(0.1, -1, 0.05), roll, table));
     };
     show(4, 0, 0.30, 5, 0, 0);
     show(8, 120, 0.25, 35, 40, 90);
@@ -227,17 +231,24 @@ void HeldBoard::showTo(const BoardAudience& audience) {
     for (int i = 0; i < 9; ++i) {
       show(58, 40 * i, 0.24 + 0.04 * (i % 3), 8 + 8 * (i % 4), 100 * i + 30, 90 * (i % 2) + 8 * i);
     }
-    // Standing: the lean is from upright, its top away from the camera.
-    const auto stand = [&](double azimuth, double distance, double lean, double roll) {
+    // Standing: the lean is from upright, its top away from the camera. Held at several heights, so
+    // that some row of corners comes to lie just inside the rim everywhere.
+    const auto stand = [&](double azimuth, double distance, double lean, double roll,
+                           double height) {
       const Vector3d outward(std::cos(azimuth * kDegree), std::sin(azimuth * kDegree), 0);
       const Vector3d front =
           -std::cos(lean * kDegree) * outward + std::sin(lean * kDegree) * Vector3d::UnitZ();
-      addStop(eye + distance * outward, front, Vector3d::UnitZ(), roll, table, true);
+      add(stopAt(eye + distance * outward, front, Vector3d::UnitZ(), roll, table, height));
     };
-    for (int i = 0; i < 11; ++i) {
-      stand(360.0 / 11 * i, 0.19 + 0.03 * (i % 3), i % 2 == 0 ? 15 : -14, i % 4 == 3 ? 90 : 0);
+    for (int i = 0; i < 12; ++i) {
+      stand(30 * i, 0.19 + 0.03 * (i % 3), i % 2 == 0 ? 15 : -14, i % 4 == 3 ? 90 : 0,
+            0.008 * (i % 4));
     }
-    for (int i = 0; i < 8; ++i) stand(45 * i + 20, i % 2 == 0 ? 0.20 : 0.22, 52, 0);
+    for (int i = 0; i < 6; ++i) stand(60 * i + 12, 0.21, 30, 0, 0.010 * (i % 3));
+    // Where the camera, tilted, looks below its own height, only a board that leans close by gets
+    // its corners low enough.
+    const double low = std::atan2(camera(1, 2), camera(0, 2)) / kDegree;
+    for (int i = 0; i < 7; ++i) stand(low + 28 * (i - 3), 0.17 + 0.01 * (i % 2), 38, 0, 0);
   }
 
   // Before the scene camera, which only ever sees a part of it.
@@ -247,33 +258,71 @@ void HeldBoard::showTo(const BoardAudience& audience) {
       {{0, 0}, {0.12, 0.08}, {-0.12, 0.08}, {-0.12, -0.08}, {0.12, -0.08}}};
   for (int i = 0; i < 12; ++i) {
     const auto& offset = kOffsets[static_cast<std::size_t>(i % 5)];
-    const double distance = 0.30 + 0.035 * (i % 4);
-    addStop(eye + distance * (axis + offset[0] * scene.linear().col(0) +
-                              offset[1] * scene.linear().col(1)),
-            tilted(-axis, (8 + 5 * (i % 7)) * kDegree, 75 * i * kDegree), -scene.linear().col(1),
-            90 * (i % 3) + 10 * i, table, false);
+    const double distance = 0.34 + 0.035 * (i % 4);
+    add(stopAt(eye + distance * (axis + offset[0] * scene.linear().col(0) +
+                                 offset[1] * scene.linear().col(1)),
+               tilted(-axis, (8 + 5 * (i % 7)) * kDegree, 75 * i * kDegree), -scene.linear().col(1),
+               90 * (i % 3) + 10 * i, table));
   }
-
-  // Where the scene camera and a source camera both see the front: beyond the subject, turned to
-  // halfway between the two.
-  for (const Isometry3d& camera : audience.sceneFromSources) {
-    const Vector3d source = camera.translation();
-    const Vector3d away = -Vector3d(source.x(), source.y(), 0).normalized();
-    const Vector3d aside(-away.y(), away.x(), 0);
-    for (int i = 0; i < 11; ++i) {
-      const Vector3d centre = (0.035 + 0.012 * (i % 3)) * away + 0.03 * ((i % 5) - 2) * aside +
-                              Vector3d(0, 0, 0.04 + 0.02 * (i % 4));
-      const Vector3d middle =
-          (eye - centre).normalized() + (0.8 + 0.15 * (i % 4)) * (source - centre).normalized();
-      addStop(centre, tilted(middle.normalized(), 6 * kDegree, 80 * i * kDegree),
-              -scene.linear().col(1), 90 * (i % 4) + 12 * i, table, false);
-    }
-  }
+  for (const Isometry3d& camera : audience.sceneFromSources) showToBoth(audience, camera);
 
   // Flat on the table at the subject.
-  addStop(Vector3d(0, 0, table), Vector3d::UnitZ(), Vector3d::UnitY(), 0, table, true);
-  addStop(Vector3d(0.01, 0.01, table), Vector3d::UnitZ(), Vector3d::UnitY(), 25, table, true);
-  stops_.front().arriveSeconds = 0;
+  add(stopAt(Vector3d(0, 0, table), Vector3d::UnitZ(), Vector3d::UnitY(), 0, table, 0.0));
+  add(stopAt(Vector3d(0.01, 0.01, table), Vector3d::UnitZ(), Vector3d::UnitY(), 25, table, 0.0));
+}
+
+// Where the scene camera and a source camera both see the front well. They look at it from opposite
+// sides, so few places will do: the best of many, some way apart.
+void HeldBoard::showToBoth(const BoardAudience& audience, const Isometry3d& source) {
+  const Vector3d sceneEye = audience.sceneFromSceneCamera.translation();
+  const Vector3d sourceEye = source.translation();
+  const Vector3d away = -Vector3d(sourceEye.x(), sourceEye.y(), 0).normalized();
+  const Vector3d aside(-away.y(), away.x(), 0);
+  constexpr double kSteepest = 0.40;  // least cosine of incidence at which markers can be read
+  constexpr double kField = 89 * kDegree;
+  const auto score = [&](const Stop& stop) {
+    const Isometry3d pose = poseOf(stop.rotation, stop.centre);
+    const Vector3d front = -pose.linear().col(2);
+    int byScene = 0, bySource = 0;
+    for (int row = 0; row < board_.rows; ++row) {
+      for (int column = 0; column < board_.columns; ++column) {
+        const Vector3d p = pose * corner(column, row);
+        const Vector3d inScene = audience.sceneFromSceneCamera.inverse() * p;
+        const Vector3d inSource = source.inverse() * p;
+        const Vector3d tangents = inScene / inScene.z();
+        byScene += std::abs(tangents.x()) < audience.sceneHalfField.x() &&
+                   std::abs(tangents.y()) < audience.sceneHalfField.y() &&
+                   front.dot((sceneEye - p).normalized()) > kSteepest;
+        bySource += inSource.z() > std::cos(kField) * inSource.norm() && inSource.norm() > 0.08 &&
+                    front.dot((sourceEye - p).normalized()) > kSteepest;
+      }
+    }
+    return std::min(byScene, bySource);
+  };
+
+  std::vector<std::pair<int, Stop>> candidates;
+  for (int i = 0; i < 1200; ++i) {
+    const double out = 0.015 * (i % 5), side = 0.03 * (i / 5 % 4) - 0.03;
+    const double up = 0.02 + 0.02 * (i / 20 % 4), weight = 0.6 + 0.25 * (i / 80 % 5);
+    const double roll = 60 * (i / 400) + 7.0 * (i % 7);
+    const Vector3d centre = out * away + side * aside + Vector3d(0, 0, up);
+    const Vector3d middle =
+        (sceneEye - centre).normalized() + weight * (sourceEye - centre).normalized();
+    const Stop stop = stopAt(centre, middle, Vector3d::UnitY(), roll, audience.tableHeight);
+    candidates.emplace_back(score(stop), stop);
+  }
+  std::stable_sort(candidates.begin(), candidates.end(),
+                   [](const auto& a, const auto& b) { return a.first > b.first; });
+  constexpr std::size_t kStops = 11;
+  std::vector<Stop> chosen;
+  for (const auto& [points, stop] : candidates) {
+    const bool apart = std::none_of(chosen.begin(), chosen.end(), [&s = stop](const Stop& c) {
+      return (c.centre - s.centre).norm() + 0.1 * c.rotation.angularDistance(s.rotation) < 0.035;
+    });
+    if (apart) chosen.push_back(stop);
+    if (chosen.size() == kStops) break;
+  }
+  for (const Stop& stop : chosen) add(stop);
 }
 
 double HeldBoard::periodSeconds() const {
@@ -311,16 +360,18 @@ constexpr int kSamples = 32;
 
 struct BoardPoint {
   float x, y;
+  int patch;  // of the print; -1: beside the board; kMiss: nowhere
 };
-constexpr float kMiss = 1e6f;
+constexpr int kMiss = -2;
+constexpr BoardPoint kNowhere{0, 0, kMiss};
 
-// Where a ray meets the bent board, board frame. kMiss where it does not.
+// Where a ray meets the bent board, board frame. The back is all one patch.
 BoardPoint meet(const HeldBoard& board, const Vector3d& origin, const Vector3d& direction) {
-  if (std::abs(direction.z()) < 1e-9) return {kMiss, kMiss};
+  if (std::abs(direction.z()) < 1e-9) return kNowhere;
   double t = -origin.z() / direction.z();
-  if (t <= 0) return {kMiss, kMiss};
+  if (t <= 0) return kNowhere;
   Vector3d p = origin + t * direction;
-  if (std::abs(p.x()) > 1 || std::abs(p.y()) > 1) return {kMiss, kMiss};
+  if (std::abs(p.x()) > 1 || std::abs(p.y()) > 1) return kNowhere;
   const RigBoard& o = board.options();
   const double hx = 0.5 * o.spacingMetres * (o.columns - 1);
   const double hy = 0.5 * o.spacingMetres * (o.rows - 1);
@@ -328,11 +379,13 @@ BoardPoint meet(const HeldBoard& board, const Vector3d& origin, const Vector3d& 
     const double slope = direction.z() +
                          2 * o.warpMetres.x() * (p.x() - hx) / (hx * hx) * direction.x() +
                          2 * o.warpMetres.y() * (p.y() - hy) / (hy * hy) * direction.y();
-    if (std::abs(slope) < 1e-9) return {kMiss, kMiss};
+    if (std::abs(slope) < 1e-9) return kNowhere;
     t -= (p.z() - board.surface(p.x(), p.y()).z()) / slope;
     p = origin + t * direction;
   }
-  return {static_cast<float>(p.x()), static_cast<float>(p.y())};
+  const auto x = static_cast<float>(p.x()), y = static_cast<float>(p.y());
+  const int patch = board.patch(x, y);
+  return {x, y, origin.z() < 0 ? patch : std::min(patch, 0)};
 }
 
 // A camera in the board's frame at one moment.
@@ -429,10 +482,7 @@ void drawBoard(const HeldBoard& board, const PixelCornerRays& rays, double fromS
   for (int row = 0; row <= rows; ++row) {
     for (int column = 0; column <= columns; ++column) {
       const int x = std::min(column * kTile, width), y = std::min(row * kTile, height);
-      const auto hits = [&](const Eye& eye) {
-        const BoardPoint p = eye.meets(board, rays, x, y);
-        return board.patch(p.x, p.y) >= 0;
-      };
+      const auto hits = [&](const Eye& eye) { return eye.meets(board, rays, x, y).patch >= 0; };
       if (!hits(first) && !(moves && hits(last))) continue;
       for (int r = std::max(row - 2, 0); r <= std::min(row + 1, rows - 1); ++r) {
         for (int c = std::max(column - 2, 0); c <= std::min(column + 1, columns - 1); ++c) {
@@ -489,7 +539,7 @@ void drawBoard(const HeldBoard& board, const PixelCornerRays& rays, double fromS
         const std::array<BoardPoint, 8> c = {
             begin[i], begin[i + 1], begin[i + kSide], begin[i + kSide + 1],
             end[i],   end[i + 1],   end[i + kSide],   end[i + kSide + 1]};
-        if (std::any_of(c.begin(), c.end(), [](const BoardPoint& p) { return p.x == kMiss; })) {
+        if (std::any_of(c.begin(), c.end(), [](const BoardPoint& p) { return p.patch == kMiss; })) {
           continue;
         }
         const auto pixel = static_cast<std::size_t>(y) * static_cast<std::size_t>(width) +
@@ -498,9 +548,9 @@ void drawBoard(const HeldBoard& board, const PixelCornerRays& rays, double fromS
         for (const BoardPoint& p : c) middleX += p.x / 8, middleY += p.y / 8;
         const float lit = lightHere + lightX * middleX + lightY * middleY;
         // All of it in one patch, which is convex.
-        const int patch = board.patch(c[0].x, c[0].y);
+        const int patch = c[0].patch;
         if (std::all_of(c.begin() + 1, c.end(),
-                        [&](const BoardPoint& p) { return board.patch(p.x, p.y) == patch; })) {
+                        [patch](const BoardPoint& p) { return p.patch == patch; })) {
           if (patch < 0) continue;
           layer.cover[pixel] = 1;
           layer.light[pixel] = lit * (front ? board.reflectance(c[0].x, c[0].y) : kBack);

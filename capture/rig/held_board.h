@@ -4,6 +4,7 @@
 
 #include <Eigen/Geometry>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -27,6 +28,7 @@ struct RigBoard {
 // Whom the board is shown to.
 struct BoardAudience {
   Eigen::Isometry3d sceneFromSceneCamera;
+  Eigen::Vector2d sceneHalfField{0.2, 0.15};  // tangents of half its field
   std::vector<Eigen::Isometry3d> sceneFromSources;
   double tableHeight = 0;
 };
@@ -53,13 +55,17 @@ class HeldBoard {
   struct Stop {
     Eigen::Quaterniond rotation;
     Eigen::Vector3d centre;
-    double arriveSeconds, leaveSeconds;
+    double arriveSeconds = 0, leaveSeconds = 0;
   };
   HeldBoard() = default;
   Eigen::Isometry3d poseOf(const Eigen::Quaterniond& rotation, const Eigen::Vector3d& centre) const;
-  void addStop(const Eigen::Vector3d& centre, const Eigen::Vector3d& front,
-               const Eigen::Vector3d& up, double rollDegrees, double tableHeight, bool standing);
+  // `standingAt`: how high above the table its lowest point is held; nothing: only lifted off it.
+  Stop stopAt(const Eigen::Vector3d& centre, const Eigen::Vector3d& front,
+              const Eigen::Vector3d& up, double rollDegrees, double tableHeight,
+              std::optional<double> standingAt = std::nullopt) const;
+  void add(Stop stop);
   void showTo(const BoardAudience& audience);
+  void showToBoth(const BoardAudience& audience, const Eigen::Isometry3d& source);
 
   RigBoard board_;
   std::vector<std::uint64_t> markers_;  // bits of each square, 0 where it is black; row by row

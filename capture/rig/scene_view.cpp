@@ -270,33 +270,39 @@ std::array<float, 2> lowDiscrepancy(int i, float shiftU, float shiftV) {
   return {u - std::floor(u), v - std::floor(v)};
 }
 
+// How many rays look around from a point. A flat table needs fewer: its neighbours see the same.
+struct Effort {
+  int hemisphere, panel, polish;
+};
+constexpr Effort kStillLifeEffort{28, 8, 12}, kTableEffort{7, 2, 4};
+
 Surroundings surroundingsOf(const StillLife& stillLife, const Room& room, const SurfacePoint& point,
-                            std::uint64_t seed) {
+                            const Effort& effort, std::uint64_t seed) {
   Surroundings s;
   const Vector3f origin = point.position + kRayOffset * point.geometricNormal;
   const float shiftU = uniformFromHash(2 * seed), shiftV = uniformFromHash(2 * seed + 1);
 
   // The hemisphere: walls and window, or other objects.
-  constexpr int kRays = 28;
-  for (int i = 0; i < kRays; ++i) {
+  const int rays = effort.hemisphere;
+  const float part = 1 / static_cast<float>(rays);
+  for (int i = 0; i < rays; ++i) {
     const auto [u, v] = lowDiscrepancy(i, shiftU, shiftV);
     const Vector3f direction = cosineDirection(point.normal, u, v);
     if (const auto other = stillLife.glance(origin, direction)) {
       constexpr float kAmbientOnObjects = 0.035f;
-      s.ambient += kAmbientOnObjects * other->albedo / kRays;
-      s.bounceColour += other->albedo / kRays;
-      s.bounceNormal += other->normal / kRays;
+      s.ambient += kAmbientOnObjects * other->albedo * part;
+      s.bounceColour += other->albedo * part;
+      s.bounceNormal += other->normal * part;
     } else {
-      s.openness += 1.0f / kRays;
+      s.openness += part;
       const RoomHit hit = room.trace(origin, direction);
-      if (hit.normal.z() > -0.5f || hit.albedo.x() > 0) s.ambient += hit.radiance / kRays;
+      if (hit.normal.z() > -0.5f || hit.albedo.x() > 0) s.ambient += hit.radiance * part;
     }
   }
   // Ceiling panels and spots are small: sample them, not the hemisphere.
-  constexpr int kPanelRays = 8;
   for (const auto& panel : room.panels()) {
     const Vector3f size = panel.high - panel.low;
-    for (int i = 0; i < kPanelRays; ++i) {
+    for (int i = 0; i < effort.panel; ++i) {
       const auto [u, v] = lowDiscrepancy(i, shiftV, shiftU);
       const Vector3f to = panel.low + Vector3f(u * size.x(), v * size.y(), 0);
       const Vector3f d = to - origin;
@@ -305,7 +311,7 @@ Surroundings surroundingsOf(const StillLife& stillLife, const Room& room, const 
       const float cosThere = d.z() / std::sqrt(d2);
       if (cosHere <= 0 || stillLife.occluded(origin, to)) continue;
       s.ambient += Vector3f::Constant(panel.radiance * cosHere * cosThere * size.x() * size.y() /
-                                      (d2 * kPi * kPanelRays));
+                                      (d2 * kPi * static_cast<float>(effort.panel)));
     }
   }
   for (const auto& spot : room.spots()) {
@@ -359,11 +365,12 @@ float schlickFactor(const SurfacePoint& point, const Vector3f& toViewer) {
 
 // One arrangement of things on the table, and all of its picture that does not change.
 struct SceneView::Tableau {
-  Tableau(std::shared_ptr<const StillLife> still, const Room& theRoom,
+  Tableau(std::shared_ptr<const StillLife> still, const Room& theRoom, const Effort& theEffort,
           const std::optional<MirrorBall>& theBall)
       : stillLife(std::move(still)),
         room(theRoom),
         focal(kWidth / 2.0 / std::tan(stillLife->horizontalField().radians() / 2)),
+        effort(theEffort),
         ball(theBall) {
     prepare();
   }
@@ -391,6 +398,7 @@ struct SceneView::Tableau {
   std::shared_ptr<const StillLife> stillLife;
   const Room& room;
   double focal;  // pixels
+  Effort effort;
   std::optional<MirrorBall> ball;
   std::vector<Block> tiles;             // 4 x 4 pixels, one point each, lanes row by row
   std::vector<std::size_t> tilePlaces;  // where each lies in the grid of tiles
@@ -398,16 +406,18 @@ struct SceneView::Tableau {
   std::vector<Block> loose;             // every other point
   RadianceImage ambient{kWidth, kHeight, 3};
   RadianceImage byWorkLight{kWidth, kHeight, 3};  // what the work light adds
+  std::vector<float> roomInBall;                  // how much of each pixel mirrors the room
 };
 
 struct SceneView::State {
   State(std::shared_ptr<const StillLife> theStillLife, const Room& theRoom, LampMotion& theMotion,
-        std::uint32_t theSeed, const Play* thePlay)
+        std::uint32_t theSeed, const Play* thePlay, const SensorFlaws& flaws)
       : stillLife(std::move(theStillLife)),
         room(theRoom),
         motion(theMotion),
         seed(theSeed),
-        play(thePlay) {
+        play(thePlay),
+        pixels(kWidth, kHeight, flaws, theSeed) {
     tableau(programAt(0).program);
   }
 
@@ -422,6 +432,7 @@ struct SceneView::State {
   LampMotion& motion;
   std::uint32_t seed;
   const Play* play;
+  FlawedPixels pixels;
   std::unique_ptr<Tableau> ofStillLife, ofTable, ofBall;  // absent until shown
   PixelCornerRays rays;                                   // empty until the board is shown
   BoardLayer boardLayer;
@@ -464,7 +475,7 @@ void SceneView::Tableau::addPixel(int x, int y, std::vector<Point>& points,
     p.weight = Vector3f::Constant(share);
     p.pixel = pixel;
     const auto id = static_cast<std::uint64_t>(pixel) * 4 + i;
-    p.surroundings = surroundingsOf(*stillLife, room, p.surface, id);
+    p.surroundings = surroundingsOf(*stillLife, room, p.surface, effort, id);
     Vector3f& light = p.surroundings.mirrored;
 
     // What it mirrors; a rough surface mirrors a cone.
@@ -474,7 +485,7 @@ void SceneView::Tableau::addPixel(int x, int y, std::vector<Point>& points,
     if (p.surface.roughness < 0.6f) {
       const Vector3f origin = p.surface.position + kRayOffset * p.surface.geometricNormal;
       const float spread = p.surface.roughness * p.surface.roughness;
-      const int rays = spread < 0.01f ? 4 : 12;
+      const int rays = spread < 0.01f ? 4 : effort.polish;
       for (int k = 0; k < rays; ++k) {
         const auto [u, v] = lowDiscrepancy(k, uniformFromHash(7 * id), uniformFromHash(7 * id + 1));
         const float r = spread * std::sqrt(u / (1.0f - 0.9f * u));
@@ -488,6 +499,7 @@ void SceneView::Tableau::addPixel(int x, int y, std::vector<Point>& points,
         const auto other = stillLife->hit(origin, out);
         if (!other) {
           light += part.cwiseProduct(room.trace(origin, out).radiance);
+          if (p.surface.mirror) roomInBall[static_cast<std::size_t>(pixel)] += share * part.y();
           continue;
         }
         light += 0.035f * part.cwiseProduct(other->albedo);
@@ -597,6 +609,7 @@ void SceneView::Tableau::smoothSurroundings(const std::vector<Point*>& points) {
 }
 
 void SceneView::Tableau::prepare() {
+  roomInBall.assign(static_cast<std::size_t>(kWidth) * kHeight, 0);
   struct Tile {
     std::vector<Point> points, mirrored;
   };
@@ -770,18 +783,18 @@ void SceneView::Tableau::addLight(const Block& b, const Lamp& lamp, float power,
 
 SceneView::Tableau& SceneView::State::tableau(RigProgram program) {
   const auto prepared = [&](std::unique_ptr<Tableau>& place,
-                            const std::shared_ptr<const StillLife>& things,
+                            const std::shared_ptr<const StillLife>& things, const Effort& effort,
                             const std::optional<MirrorBall>& ball) -> Tableau& {
-    if (!place) place = std::make_unique<Tableau>(things, room, ball);
+    if (!place) place = std::make_unique<Tableau>(things, room, effort, ball);
     return *place;
   };
   switch (program) {
     case RigProgram::kBoard:
-      return prepared(ofTable, play->bareTable, std::nullopt);
+      return prepared(ofTable, play->bareTable, kTableEffort, std::nullopt);
     case RigProgram::kMirrorBall:
-      return prepared(ofBall, play->tableWithBall, play->ball);
+      return prepared(ofBall, play->tableWithBall, kTableEffort, play->ball);
     default:
-      return prepared(ofStillLife, stillLife, std::nullopt);
+      return prepared(ofStillLife, stillLife, kStillLifeEffort, std::nullopt);
   }
 }
 
@@ -817,13 +830,16 @@ void SceneView::State::showBoard(double programSeconds, double exposureSeconds) 
 }
 
 SceneView::SceneView(std::shared_ptr<const StillLife> stillLife, const Room& room,
-                     LampMotion& motion, std::uint32_t seed, const Play* play)
-    : state_(std::make_unique<State>(std::move(stillLife), room, motion, seed, play)) {}
+                     LampMotion& motion, std::uint32_t seed, const Play* play,
+                     const SensorFlaws& flaws)
+    : state_(std::make_unique<State>(std::move(stillLife), room, motion, seed, play, flaws)) {}
 SceneView::~SceneView() = default;
 
 double SceneView::focalLengthPixels() const {
   return kWidth / 2.0 / std::tan(state_->stillLife->horizontalField().radians() / 2);
 }
+
+const FlawedPixels& SceneView::pixels() const { return state_->pixels; }
 
 const RadianceImage& SceneView::render(double timeSeconds, double exposureSeconds) {
   State& s = *state_;
@@ -854,6 +870,12 @@ const RadianceImage& SceneView::render(double timeSeconds, double exposureSecond
 
   tableau.traceLamp(lamp, lampPointsAt(s.motion, timeSeconds, exposureSeconds), s.frame);
   if (tableau.ball) {
+    // The walls that the lamp lights, evenly.
+    for (std::size_t i = 0; i < tableau.roomInBall.size(); ++i) {
+      const float light = kRoomBounce * static_cast<float>(lamp.power) * tableau.roomInBall[i];
+      for (int c = 0; c < 3; ++c)
+        s.frame.data()[3 * i + static_cast<std::size_t>(c)] += light * kLampColour[c];
+    }
     constexpr double kLampRadiance =
         kLampDistanceMetres * kLampDistanceMetres / (kLampRadiusMetres * kLampRadiusMetres);
     tableau.addHighlight(s.motion.at(timeSeconds - exposureSeconds / 2).position,
@@ -884,8 +906,9 @@ void SceneView::expose(const ExposureRequest& request, std::vector<std::uint8_t>
   }
   bytes.resize(static_cast<std::size_t>(r.width) * static_cast<std::size_t>(r.height) *
                static_cast<std::size_t>(info.bytesPerPixel));
+  s.pixels.collect(r, info.isBayer ? 1 : 3, request.exposureSeconds, s.signal);
   readOut(kSceneSensor, request.format, request.gainDb, hash64(request.index) + s.seed, s.signal,
-          bytes.data());
+          bytes.data(), s.pixels.response());
 }
 
 }  // namespace lightsketch

@@ -28,7 +28,7 @@ class SceneView final : public FrameSource {
   // `motion` and `play` must outlive the view. No play: the lamp's program for ever. What stands on
   // the table is prepared when it is first shown, the first program's at once.
   SceneView(std::shared_ptr<const StillLife> stillLife, const Room& room, LampMotion& motion,
-            std::uint32_t seed, const Play* play = nullptr);
+            std::uint32_t seed, const Play* play = nullptr, const SensorFlaws& flaws = {});
   ~SceneView() override;
 
   int sensorWidth() const override { return kWidth; }
@@ -36,7 +36,7 @@ class SceneView final : public FrameSource {
   std::vector<PixelFormat> formats() const override {
     return {PixelFormat::kBayerRG12, PixelFormat::kBayerRG16, PixelFormat::kRgb8};
   }
-  // RGB8 is linear too: the sensor's counts, three to a pixel.
+  // RGB8 is linear too, unless its response is said to be another: three counts to a pixel.
   void expose(const ExposureRequest& request, std::vector<std::uint8_t>& bytes) override;
 
   // Noise-free radiance (1: a white matte surface facing the lamp at 0.9 m), for an exposure of
@@ -45,6 +45,7 @@ class SceneView final : public FrameSource {
 
   // Of the picture, a pinhole's.
   double focalLengthPixels() const;
+  const FlawedPixels& pixels() const;
 
  private:
   struct Tableau;

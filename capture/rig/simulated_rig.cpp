@@ -21,6 +21,9 @@ namespace {
 constexpr double kSceneExposureSeconds = 0.02;
 constexpr double kSourceExposureSeconds = 0.001;
 
+// Beside the still life, high enough to stay out of most shadows.
+const ReferencePatch kReferencePatch{{0.082, 0.078, 0.010}, 0.018};
+
 // Serves a loop of frames from memory, both cameras at the same place of the loop at the same time.
 // They are rendered for the settings given at the start; other settings cost a rendering of their
 // own, once.
@@ -92,8 +95,11 @@ class ProgrammedSource final : public FrameSource {
 class ProgramMotion final : public LampMotion {
  public:
   ProgramMotion(const ProgramLog& programs, LampMotion& guided, const HandOptions& hand,
-                std::uint32_t seed)
-      : programs_(programs), guided_(guided), sweeping_(seed, sweeping(hand)) {}
+                double powerDrift, std::uint32_t seed)
+      : programs_(programs),
+        guided_(guided),
+        powerDrift_(powerDrift),
+        sweeping_(seed, sweeping(hand)) {}
 
   void advanceTo(double timeSeconds) override {
     const auto [program, since] = programs_.at(timeSeconds);
@@ -102,9 +108,11 @@ class ProgramMotion final : public LampMotion {
   }
   LampState at(double timeSeconds) const override {
     const auto [program, since] = programs_.at(timeSeconds);
-    if (program == RigProgram::kMirrorBall) return sweeping_.at(timeSeconds - since);
-    LampState state = guided_.at(timeSeconds);
-    state.lit = state.lit && program == RigProgram::kLamp;
+    const bool sweeps = program == RigProgram::kMirrorBall;
+    LampState state = sweeps ? sweeping_.at(timeSeconds - since) : guided_.at(timeSeconds);
+    state.lit = state.lit && (sweeps || program == RigProgram::kLamp);
+    state.power = 1 + powerDrift_ * (0.6 * std::sin(0.31 * timeSeconds + 1.0) +
+                                     0.4 * std::sin(0.73 * timeSeconds + 2.6));
     return state;
   }
 
@@ -116,6 +124,7 @@ class ProgramMotion final : public LampMotion {
 
   const ProgramLog& programs_;
   LampMotion& guided_;
+  double powerDrift_;
   SimulatedHand sweeping_;
 };
 
@@ -138,6 +147,18 @@ Result<void> validate(const SimulatedRigOptions& o) {
     return failure(ErrorCode::kInvalidArgument,
                    "simulated rig: lamp between {} and {} m from the subject; give 0.3 to 1.5",
                    o.minLampDistanceMetres, o.maxLampDistanceMetres);
+  }
+  const auto nonsense = [](const SensorFlaws& f) {
+    return !(f.vignetting >= 0 && f.vignetting < 1 && f.prnu >= 0 && f.prnu < 0.2 &&
+             f.fixedPattern >= 0 && f.fixedPattern < 0.2 && f.darkCurrent >= 0 &&
+             f.hotPixels >= 0 && f.hotPixels <= 10'000);
+  };
+  if (!(o.lampPowerDrift >= 0 && o.lampPowerDrift < 1) || nonsense(o.sceneFlaws) ||
+      nonsense(o.sourceFlaws)) {
+    return failure(
+        ErrorCode::kInvalidArgument,
+        "simulated rig: lamp drift and vignetting within [0, 1), pixel gains and offsets "
+        "within [0, 0.2), no negative dark current, at most 10000 hot pixels");
   }
   return {};
 }
@@ -201,14 +222,21 @@ Result<void> SimulatedRig::State::serve(FrameSource& view, GigeDeviceOptions dev
 
 Result<std::unique_ptr<SimulatedRig>> SimulatedRig::start(const SimulatedRigOptions& options) {
   RETURN_IF_ERROR(validate(options));
-  ASSIGN_OR_RETURN(const auto stillLife, StillLife::load(options.scene));
+  ASSIGN_OR_RETURN(auto stillLife, StillLife::load(options.scene));
+  if (options.referencePatch) {
+    ASSIGN_OR_RETURN(stillLife, stillLife->arranged({true, std::nullopt, kReferencePatch}));
+  }
   std::vector<std::pair<std::string, SourceSeat>> seats{{options.sourceAddress, firstSourceSeat()}};
   if (!options.secondSource.empty()) seats.emplace_back(options.secondSource, secondSourceSeat());
 
   // What the programs put before the cameras.
   const MirrorBall ball{{0, 0, stillLife->tableHeight() + options.ballRadiusMetres},
                         options.ballRadiusMetres};
-  BoardAudience audience{stillLife->sceneFromCamera(), {}, stillLife->tableHeight()};
+  const double halfWidth = std::tan(stillLife->horizontalField().radians() / 2);
+  BoardAudience audience{stillLife->sceneFromCamera(),
+                         {halfWidth, halfWidth * SceneView::kHeight / SceneView::kWidth},
+                         {},
+                         stillLife->tableHeight()};
   for (const auto& seat : seats) {
     audience.sceneFromSources.push_back(seat.second.sceneFromCamera);
   }
@@ -229,8 +257,10 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::start(const SimulatedRigOpti
   LampMotion& guided =
       s.hand ? static_cast<LampMotion&>(*s.hand) : static_cast<LampMotion&>(*s.spiral);
   s.motion =
-      std::make_unique<ProgramMotion>(s.play.programs, guided, s.handOptions(), options.seed + 77);
-  s.sceneView = std::make_unique<SceneView>(s.stillLife, s.room, *s.motion, options.seed, &s.play);
+      std::make_unique<ProgramMotion>(s.play.programs, guided, s.handOptions(),
+                                             options.lampPowerDrift, options.seed + 77);
+  s.sceneView = std::make_unique<SceneView>(s.stillLife, s.room, *s.motion, options.seed, &s.play,
+                                            options.sceneFlaws);
   for (const auto& [address, seat] : seats) {
     State::Source source;
     source.address = address;
@@ -241,7 +271,7 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::start(const SimulatedRigOpti
         [&s](const Guide& guide) {
           if (s.hand) s.hand->guide(guide, s.now());
         },
-        &s.play, seat);
+        &s.play, seat, options.sourceFlaws);
     s.sources.push_back(std::move(source));
   }
 
@@ -339,6 +369,56 @@ std::optional<Eigen::Vector3d> SimulatedRig::trueDirection(const Eigen::Vector2d
 std::optional<Eigen::Vector2d> SimulatedRig::truePixel(const Eigen::Vector3d& directionInSource,
                                                        std::size_t source) const {
   return state_->sources.at(source).view->lens().project(directionInSource);
+}
+
+std::optional<PatchTruth> SimulatedRig::referencePatch() const {
+  if (!state_->options.referencePatch) return std::nullopt;
+  const Eigen::Isometry3d cameraFromScene = state_->stillLife->sceneFromCamera().inverse();
+  const double focal = sceneFocalLengthPixels();
+  // The largest upright rectangle that fits between the corners, less a margin for the edges.
+  std::vector<double> xs, ys;
+  for (const double a : {-0.5, 0.5}) {
+    for (const double b : {-0.5, 0.5}) {
+      const Eigen::Vector3d p = cameraFromScene * (kReferencePatch.centre +
+                                                   kReferencePatch.side * Eigen::Vector3d(a, b, 0));
+      xs.push_back(focal * p.x() / p.z() + SceneView::kWidth / 2.0);
+      ys.push_back(focal * p.y() / p.z() + SceneView::kHeight / 2.0);
+    }
+  }
+  std::sort(xs.begin(), xs.end());
+  std::sort(ys.begin(), ys.end());
+  constexpr double kMargin = 3;
+  const int x = static_cast<int>(std::ceil(xs[1] + kMargin));
+  const int y = static_cast<int>(std::ceil(ys[1] + kMargin));
+  return PatchTruth{
+      {x, y, static_cast<int>(xs[2] - kMargin) - x, static_cast<int>(ys[2] - kMargin) - y},
+      kReferencePatch.centre,
+      kReferencePatchAlbedo};
+}
+
+double SimulatedRig::trueSceneSignal(PixelFormat format, double counts) const {
+  return signalOfCounts(state_->options.sceneFlaws.eightBitResponse, format, counts);
+}
+
+double SimulatedRig::trueSourceSignal(PixelFormat format, double counts) const {
+  return signalOfCounts(state_->options.sourceFlaws.eightBitResponse, format, counts);
+}
+
+std::vector<Eigen::Vector2i> SimulatedRig::sceneHotPixels() const {
+  return state_->sceneView->pixels().hotPixels();
+}
+
+std::vector<Eigen::Vector2i> SimulatedRig::sourceHotPixels(std::size_t source) const {
+  return state_->sources.at(source).view->pixels().hotPixels();
+}
+
+double SimulatedRig::sceneFalloff(const Eigen::Vector2d& pixel) const {
+  return state_->sceneView->pixels().falloff(pixel);
+}
+
+double SimulatedRig::sourceFalloff(const Eigen::Vector2d& pixel, std::size_t source) const {
+  const SourceView& view = *state_->sources.at(source).view;
+  return view.falloff(pixel) * view.pixels().falloff(pixel);
 }
 
 double SimulatedRig::sceneFocalLengthPixels() const {

@@ -16,6 +16,7 @@
 #include "capture/rig/gige_device.h"
 #include "capture/rig/held_board.h"
 #include "capture/rig/rig_program.h"
+#include "capture/rig/sensor.h"
 #include "capture/rig/still_life.h"
 
 namespace lightsketch {
@@ -39,6 +40,18 @@ struct SimulatedRigOptions {
   // How far from the subject the hand holds the lamp, wandering slowly in between.
   double minLampDistanceMetres = 0.9;
   double maxLampDistanceMetres = 0.9;
+  // The lamp's power wanders by this share up and down.
+  double lampPowerDrift = 0;
+  // A matte white patch stands at the edge of the built-in still life.
+  bool referencePatch = false;
+  SensorFlaws sceneFlaws, sourceFlaws;
+};
+
+// A rectangle of the scene camera's picture, wholly on the face of the reference patch.
+struct PatchTruth {
+  Region pixels;
+  Eigen::Vector3d centreInScene;  // of the face, whose normal is +z
+  double albedo = 0;
 };
 
 // Ground truth, for tests and reports only; never part of what the pipeline sees.
@@ -94,6 +107,17 @@ class SimulatedRig {
                                                std::size_t source = 0) const;
   std::optional<Eigen::Vector2d> truePixel(const Eigen::Vector3d& directionInSource,
                                            std::size_t source = 0) const;
+  // Nothing without a patch.
+  std::optional<PatchTruth> referencePatch() const;
+  // Light, as a fraction of the range at gain 0, that counts of a format stand for.
+  double trueSceneSignal(PixelFormat format, double counts) const;
+  double trueSourceSignal(PixelFormat format, double counts) const;
+  // Pixels with a leak, as (column, row).
+  std::vector<Eigen::Vector2i> sceneHotPixels() const;
+  std::vector<Eigen::Vector2i> sourceHotPixels(std::size_t source = 0) const;
+  // Relative illumination by the lens; 1 in the middle.
+  double sceneFalloff(const Eigen::Vector2d& pixel) const;
+  double sourceFalloff(const Eigen::Vector2d& pixel, std::size_t source = 0) const;
   // The scene camera is a pinhole with its centre in the middle of the picture.
   double sceneFocalLengthPixels() const;
   // Of all cameras together.

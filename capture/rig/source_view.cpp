@@ -144,13 +144,14 @@ struct SourceView::Tableau {
 struct SourceView::State {
   State(std::shared_ptr<const StillLife> objects, const Room& theRoom, LampMotion& theMotion,
         std::uint32_t theSeed, std::function<void(const Guide&)> guideTo, const Play* thePlay,
-        const SourceSeat& seat)
+        const SourceSeat& seat, const SensorFlaws& flaws)
       : stillLife(std::move(objects)),
         room(theRoom),
         motion(theMotion),
         seed(theSeed),
         onGuide(std::move(guideTo)),
         play(thePlay),
+        pixels(kSize, kSize, flaws, theSeed),
         lens(seat.lens),
         sceneFromCamera(seat.sceneFromCamera),
         frame(Tableau::kPixels),
@@ -184,6 +185,7 @@ struct SourceView::State {
   std::uint32_t seed;
   std::function<void(const Guide&)> onGuide;
   const Play* play;
+  FlawedPixels pixels;
   FisheyeLens lens;
   Isometry3d sceneFromCamera;
 
@@ -551,13 +553,18 @@ void SourceView::State::showBoard(double programSeconds, double exposureSeconds)
 SourceView::SourceView(std::shared_ptr<const StillLife> stillLife, const Room& room,
                        LampMotion& motion, std::uint32_t seed,
                        std::function<void(const Guide&)> onGuide, const Play* play,
-                       const SourceSeat& seat)
+                       const SourceSeat& seat, const SensorFlaws& flaws)
     : state_(std::make_unique<State>(std::move(stillLife), room, motion, seed, std::move(onGuide),
-                                     play, seat)) {}
+                                     play, seat, flaws)) {}
 SourceView::~SourceView() = default;
 
 const Isometry3d& SourceView::sceneFromCamera() const { return state_->sceneFromCamera; }
 const FisheyeLens& SourceView::lens() const { return state_->lens; }
+const FlawedPixels& SourceView::pixels() const { return state_->pixels; }
+double SourceView::falloff(const Vector2d& pixel) const {
+  const auto direction = state_->lens.unproject(pixel);
+  return direction ? vignetting(std::acos(std::clamp(direction->z(), -1.0, 1.0))) : 0.0;
+}
 
 void SourceView::guide(const Guide& guide) {
   if (state_->onGuide) state_->onGuide(guide);
@@ -657,8 +664,9 @@ void SourceView::expose(const ExposureRequest& request, std::vector<std::uint8_t
   }
   bytes.resize(s.signal.size() *
                static_cast<std::size_t>(pixelFormatInfo(request.format).bytesPerPixel));
+  s.pixels.collect(r, 1, request.exposureSeconds, s.signal);
   readOut(kSourceSensor, request.format, request.gainDb, hash64(request.index) + s.seed, s.signal,
-          bytes.data());
+          bytes.data(), s.pixels.response());
 }
 
 }  // namespace lightsketch

@@ -41,7 +41,8 @@ class SourceView final : public FrameSource {
   // No play: the lamp's program for ever.
   SourceView(std::shared_ptr<const StillLife> stillLife, const Room& room, LampMotion& motion,
              std::uint32_t seed, std::function<void(const Guide&)> onGuide = {},
-             const Play* play = nullptr, const SourceSeat& seat = firstSourceSeat());
+             const Play* play = nullptr, const SourceSeat& seat = firstSourceSeat(),
+             const SensorFlaws& flaws = {});
   ~SourceView() override;
 
   int sensorWidth() const override { return kSize; }
@@ -59,6 +60,9 @@ class SourceView final : public FrameSource {
   // Where the camera sits. Thread-safe.
   const Eigen::Isometry3d& sceneFromCamera() const;
   const FisheyeLens& lens() const;
+  const FlawedPixels& pixels() const;
+  // Relative illumination through the lens, beside the sensor's flaws.
+  double falloff(const Eigen::Vector2d& pixel) const;
   // Nothing is between the camera and the lamp, which is lit and inside the field. Thread-safe.
   bool seesLamp(const LampState& lamp, RigProgram program = RigProgram::kLamp) const;
 
