@@ -186,8 +186,9 @@ Result<void> Calibration::seed() {
   const LensMask mask = lensMask(LensFamily::kKannalaBrandt);
   for (int stage = 0; stage < 2; ++stage) {
     const double scale = std::max(0.1, 3 * robustSigma(data_, usedViews(data_), state_));
-    if (!solve(mask, scale, stage > 0 && options_.solveWarp)) return noFit();
+    const bool solved = solve(mask, scale, stage > 0 && options_.solveWarp);
     RETURN_IF_ERROR(requireNotCancelled());
+    if (!solved) return noFit();
   }
   RETURN_IF_ERROR(checkBoard());
   const double sigma = robustSigma(data_, usedViews(data_), state_);
