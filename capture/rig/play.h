@@ -13,7 +13,7 @@ namespace lightsketch {
 struct Play {
   ProgramLog programs;
   HeldBoard board;
-  MirrorBall ball;
+  ChromeBall ball;
   std::shared_ptr<const StillLife> bareTable;
   std::shared_ptr<const StillLife> tableWithBall;
 };

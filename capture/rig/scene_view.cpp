@@ -366,7 +366,7 @@ float schlickFactor(const SurfacePoint& point, const Vector3f& toViewer) {
 // One arrangement of things on the table, and all of its picture that does not change.
 struct SceneView::Tableau {
   Tableau(std::shared_ptr<const StillLife> still, const Room& theRoom, const Effort& theEffort,
-          const std::optional<MirrorBall>& theBall)
+          const std::optional<ChromeBall>& theBall)
       : stillLife(std::move(still)),
         room(theRoom),
         focal(kWidth / 2.0 / std::tan(stillLife->horizontalField().radians() / 2)),
@@ -399,7 +399,7 @@ struct SceneView::Tableau {
   const Room& room;
   double focal;  // pixels
   Effort effort;
-  std::optional<MirrorBall> ball;
+  std::optional<ChromeBall> ball;
   std::vector<Block> tiles;             // 4 x 4 pixels, one point each, lanes row by row
   std::vector<std::size_t> tilePlaces;  // where each lies in the grid of tiles
   std::vector<Light> tileLight;         // of the whole grid; scratch
@@ -418,7 +418,8 @@ struct SceneView::State {
         seed(theSeed),
         play(thePlay),
         pixels(kWidth, kHeight, flaws, theSeed) {
-    tableau(programAt(0).program);
+    const RigProgram program = programAt(0).program;
+    if (program != RigProgram::kDiffuser && program != RigProgram::kDark) tableau(program);
   }
 
   ProgramLog::Entry programAt(double timeSeconds) const {
@@ -784,7 +785,7 @@ void SceneView::Tableau::addLight(const Block& b, const Lamp& lamp, float power,
 SceneView::Tableau& SceneView::State::tableau(RigProgram program) {
   const auto prepared = [&](std::unique_ptr<Tableau>& place,
                             const std::shared_ptr<const StillLife>& things, const Effort& effort,
-                            const std::optional<MirrorBall>& ball) -> Tableau& {
+                            const std::optional<ChromeBall>& ball) -> Tableau& {
     if (!place) place = std::make_unique<Tableau>(things, room, effort, ball);
     return *place;
   };

@@ -22,7 +22,7 @@ constexpr double kSceneExposureSeconds = 0.02;
 constexpr double kSourceExposureSeconds = 0.001;
 
 // Beside the still life, high enough to stay out of most shadows.
-const ReferencePatch kReferencePatch{{0.082, 0.078, 0.010}, 0.018};
+const MattePatch kReferencePatch{{0.084, 0.062, 0.006}, 0.016};
 
 // Serves a loop of frames from memory, both cameras at the same place of the loop at the same time.
 // They are rendered for the settings given at the start; other settings cost a rendering of their
@@ -168,7 +168,7 @@ Result<void> validate(const SimulatedRigOptions& o) {
 int sceneBlackLevelCounts(PixelFormat format) { return blackLevelCounts(format); }
 
 struct SimulatedRig::State {
-  State(RigProgram program, HeldBoard&& board, const MirrorBall& ball,
+  State(RigProgram program, HeldBoard&& board, const ChromeBall& ball,
         std::shared_ptr<const StillLife> bareTable, std::shared_ptr<const StillLife> tableWithBall)
       : play{ProgramLog(program), std::move(board), ball, std::move(bareTable),
              std::move(tableWithBall)} {}
@@ -230,7 +230,7 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::start(const SimulatedRigOpti
   if (!options.secondSource.empty()) seats.emplace_back(options.secondSource, secondSourceSeat());
 
   // What the programs put before the cameras.
-  const MirrorBall ball{{0, 0, stillLife->tableHeight() + options.ballRadiusMetres},
+  const ChromeBall ball{{0, 0, stillLife->tableHeight() + options.ballRadiusMetres},
                         options.ballRadiusMetres};
   const double halfWidth = std::tan(stillLife->horizontalField().radians() / 2);
   BoardAudience audience{stillLife->sceneFromCamera(),
@@ -256,8 +256,7 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::start(const SimulatedRigOpti
   }
   LampMotion& guided =
       s.hand ? static_cast<LampMotion&>(*s.hand) : static_cast<LampMotion&>(*s.spiral);
-  s.motion =
-      std::make_unique<ProgramMotion>(s.play.programs, guided, s.handOptions(),
+  s.motion = std::make_unique<ProgramMotion>(s.play.programs, guided, s.handOptions(),
                                              options.lampPowerDrift, options.seed + 77);
   s.sceneView = std::make_unique<SceneView>(s.stillLife, s.room, *s.motion, options.seed, &s.play,
                                             options.sceneFlaws);
@@ -359,7 +358,7 @@ Eigen::Vector3d SimulatedRig::boardCorner(int column, int row) const {
 
 double SimulatedRig::boardPeriodSeconds() const { return state_->play.board.periodSeconds(); }
 
-MirrorBall SimulatedRig::mirrorBall() const { return state_->play.ball; }
+ChromeBall SimulatedRig::mirrorBall() const { return state_->play.ball; }
 
 std::optional<Eigen::Vector3d> SimulatedRig::trueDirection(const Eigen::Vector2d& pixel,
                                                            std::size_t source) const {

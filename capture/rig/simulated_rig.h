@@ -101,7 +101,7 @@ class SimulatedRig {
   Eigen::Vector3d boardCorner(int column, int row) const;
   // How long the board takes until its way repeats.
   double boardPeriodSeconds() const;
-  MirrorBall mirrorBall() const;
+  ChromeBall mirrorBall() const;
   // What the lenses really do. Nothing outside a source camera's field.
   std::optional<Eigen::Vector3d> trueDirection(const Eigen::Vector2d& pixel,
                                                std::size_t source = 0) const;

@@ -157,7 +157,8 @@ struct SourceView::State {
         frame(Tableau::kPixels),
         wallLight(kNodes * kNodes) {
     aim();
-    show(programAt(0).program);
+    const RigProgram program = programAt(0).program;
+    if (program != RigProgram::kDiffuser && program != RigProgram::kDark) show(program);
   }
 
   ProgramLog::Entry programAt(double timeSeconds) const {

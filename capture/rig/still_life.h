@@ -29,13 +29,13 @@ struct SurfacePoint {
   bool mirror = false;              // of chrome: no lobe, lights in it are drawn one by one
 };
 
-struct MirrorBall {
+struct ChromeBall {
   Eigen::Vector3d centre;  // scene frame
   double radius = 0;       // metres
 };
 
 // A matte white square on a foot, facing up, in the scene camera's view.
-struct ReferencePatch {
+struct MattePatch {
   Eigen::Vector3d centre;  // of its face, scene frame
   double side = 0;         // metres
 };
@@ -44,8 +44,8 @@ inline constexpr float kReferencePatchAlbedo = 0.9f;
 // What stands on the table.
 struct Arrangement {
   bool objects = true;  // those of the scene file
-  std::optional<MirrorBall> ball;
-  std::optional<ReferencePatch> patch;
+  std::optional<ChromeBall> ball;
+  std::optional<MattePatch> patch;
 };
 
 // Immutable, so thread-safe.
