@@ -44,7 +44,8 @@ double FlatField::sensitivity(double u, double v, int colour) const {
   const double y = std::clamp(v, 0.0, 1.0) * (rows_ - 1);
   const int column = std::min(static_cast<int>(x), columns_ - 2);
   const int row = std::min(static_cast<int>(y), rows_ - 2);
-  const double top = std::lerp(node(column, row, colour), node(column + 1, row, colour), x - column);
+  const double top =
+      std::lerp(node(column, row, colour), node(column + 1, row, colour), x - column);
   const double bottom =
       std::lerp(node(column, row + 1, colour), node(column + 1, row + 1, colour), x - column);
   return std::lerp(top, bottom, y - row);
@@ -65,9 +66,9 @@ Result<FlatField> FlatField::fromJson(const Json& json, std::string_view where) 
   ASSIGN_OR_RETURN(const auto columns, jsonInteger(json, "columns", where, 2, 1000));
   ASSIGN_OR_RETURN(const auto rows, jsonInteger(json, "rows", where, 2, 1000));
   ASSIGN_OR_RETURN(const auto colours, jsonInteger(json, "colours", where, 1, 3));
-  ASSIGN_OR_RETURN(const auto values,
-                   jsonVector(json, "sensitivity", static_cast<int>(columns * rows * colours),
-                              where));
+  ASSIGN_OR_RETURN(
+      const auto values,
+      jsonVector(json, "sensitivity", static_cast<int>(columns * rows * colours), where));
   auto field = create(static_cast<int>(columns), static_cast<int>(rows), static_cast<int>(colours),
                       {values.begin(), values.end()});
   if (!field) return failure(ErrorCode::kCorrupt, "{}: {}", where, field.error().message);

@@ -8,8 +8,7 @@ namespace lightsketch {
 double NoiseModel::exposureVariance(double exposure, double exposurePerCount, int colour,
                                     double atGainDb) const {
   const ChannelNoise& noise = channel(colour);
-  const double electrons =
-      noise.electronsAtSaturation * std::pow(10.0, -(atGainDb - gainDb) / 20);
+  const double electrons = noise.electronsAtSaturation * std::pow(10.0, -(atGainDb - gainDb) / 20);
   return (std::max(exposure, 0.0) +
           noise.readNoiseElectrons * noise.readNoiseElectrons / electrons) /
              electrons +

@@ -19,7 +19,7 @@ struct ChannelNoise {
 // Poisson, read-out adds a constant variance, rounding to counts adds 1/12 count^2. The default is
 // a plain small sensor, for cameras that nobody has measured.
 struct NoiseModel {
-  double gainDb = 0;                     // at which it was measured
+  double gainDb = 0;                      // at which it was measured
   std::vector<ChannelNoise> channels{1};  // one for all colours, or one a colour
 
   const ChannelNoise& channel(int colour) const {

@@ -112,8 +112,8 @@ Result<ResponseCurve> ResponseCurve::fromJson(const Json& json, std::string_view
   for (const Json& table : *tables) {
     const int nodes = table.is_array() && table.size() <= kMaxNodes ? static_cast<int>(table.size())
                                                                     : 2;  // jsonVector complains
-    ASSIGN_OR_RETURN(const auto values, jsonVector(Json{{"exposure", table}}, "exposure", nodes,
-                                                   where));
+    ASSIGN_OR_RETURN(const auto values,
+                     jsonVector(Json{{"exposure", table}}, "exposure", nodes, where));
     exposure.emplace_back(values.begin(), values.end());
   }
   auto curve = tabulated(std::move(exposure), maxCount, saturationCount);

@@ -64,7 +64,8 @@ Result<SensorModel> sensorModelFromJson(const Json& json, std::string_view where
     return failure(ErrorCode::kCorrupt, "{}: field 'hotPixels' is not an array", where);
   }
   for (const Json& entry : *hot) {
-    ASSIGN_OR_RETURN(const auto place, jsonVector(Json{{"hotPixels", entry}}, "hotPixels", 2, where));
+    ASSIGN_OR_RETURN(const auto place,
+                     jsonVector(Json{{"hotPixels", entry}}, "hotPixels", 2, where));
     const PixelPosition pixel{static_cast<int>(place[0]), static_cast<int>(place[1])};
     if (!(place[0] >= 0 && place[0] < sensor.width && place[1] >= 0 && place[1] < sensor.height)) {
       return failure(ErrorCode::kCorrupt, "{}: hot pixel ({}, {}) lies outside the picture", where,

@@ -33,10 +33,8 @@ class Reader {
   explicit Reader(const Frame& frame)
       : frame_(frame), info_(pixelFormatInfo(frame.format)), samples_(index(info_.channels)) {}
   double operator()(int x, int y, int sample) const {
-    const std::size_t i =
-        (index(y) * index(frame_.width) + index(x)) * samples_ + index(sample);
-    return info_.bits <= 8 ? frame_.bytes[i]
-                           : frame_.bytes[2 * i] | (frame_.bytes[2 * i + 1] << 8);
+    const std::size_t i = (index(y) * index(frame_.width) + index(x)) * samples_ + index(sample);
+    return info_.bits <= 8 ? frame_.bytes[i] : frame_.bytes[2 * i] | (frame_.bytes[2 * i + 1] << 8);
   }
 
  private:
@@ -260,26 +258,45 @@ Darkness measureDarkness(const Camera& camera, std::span<const Frame> frames,
   return dark;
 }
 
-// Without dark frames: 0 where the camera clips there, otherwise somewhere below the darkest
-// hundredth of the shortest exposure, which the fit will find.
+// Without dark frames: what the places that are darkest at the longest exposures show at the two
+// shortest. Where both agree, no light arrives there any more; otherwise black lies somewhere
+// below, which the fit will find.
 std::vector<ResponseSamples::Black> guessBlack(const Camera& camera,
-                                               const std::vector<std::vector<Group>>& brackets) {
-  std::vector<std::vector<double>> counts(index(camera.colours));
-  for (const auto& groups : brackets) {
-    const Reader read(*groups.front().frames[0]);
-    forEachSample(camera, stepFor(camera, 200'000), [&](int x, int y, int s, int colour) {
-      counts[index(colour)].push_back(read(x, y, s));
-    });
-  }
+                                               const std::vector<Group>& groups) {
+  struct Trace {
+    double longest, shortest, second;
+  };
+  std::vector<std::vector<Trace>> traces(index(camera.colours));
+  const Reader longest(*groups.back().frames[0]);
+  const Reader shortest(*groups[0].frames[0]);
+  const Reader second(*groups[1].frames[0]);
+  forEachSample(camera, stepFor(camera, 200'000), [&](int x, int y, int s, int colour) {
+    const Trace trace{longest(x, y, s), shortest(x, y, s), second(x, y, s)};
+    if (trace.longest >= trace.shortest) traces[index(colour)].push_back(trace);
+  });
   std::vector<ResponseSamples::Black> black;
-  for (auto& list : counts) {
-    const auto zeros = static_cast<double>(std::ranges::count(list, 0.0));
-    const bool clipped = zeros > kClippedShare * static_cast<double>(list.size());
-    const auto low = list.begin() + static_cast<std::ptrdiff_t>(list.size() / 100);
-    std::nth_element(list.begin(), low, list.end());
-    const double guess = std::min(*low, 0.03 * camera.maxCount);
-    black.push_back(clipped ? ResponseSamples::Black{0, std::max(1.0, 0.002 * camera.maxCount), true}
-                            : ResponseSamples::Black{guess, 0.03 * camera.maxCount, false});
+  for (auto& list : traces) {
+    // Noise cut off at 0 leaves its upper half standing; a heap of zeros alone is a painted border.
+    const auto zeros = static_cast<double>(std::ranges::count(list, 0.0, &Trace::shortest));
+    const auto ones = static_cast<double>(std::ranges::count(list, 1.0, &Trace::shortest));
+    const bool clipped =
+        zeros > kClippedShare * static_cast<double>(list.size()) && ones > 0.02 * zeros;
+    std::ranges::sort(list, {}, &Trace::longest);
+    std::vector<double> first, next;
+    for (std::size_t i = 0; i < list.size() / 20; ++i) {
+      first.push_back(list[i].shortest);
+      next.push_back(list[i].second);
+    }
+    const double level = median(first);
+    const double fine = std::max(1.0, 0.002 * camera.maxCount);
+    const double coarse = 0.03 * camera.maxCount;
+    if (clipped) {
+      black.push_back({0, fine, true});
+    } else if (std::abs(median(next) - level) <= fine) {
+      black.push_back({level, fine, false});
+    } else {
+      black.push_back({std::min(level, coarse), coarse, false});
+    }
   }
   return black;
 }
@@ -288,15 +305,22 @@ std::vector<ResponseSamples::Black> guessBlack(const Camera& camera,
 
 // Places with as little detail as possible around them, evenly over what the bracket saw from dark
 // to bright: detail turns the least motion into error.
-void addPlaces(const Camera& camera, const std::vector<Group>& groups, int bracket,
-               const std::vector<PixelPosition>& hotPixels, int placesPerColour,
-               ResponseSamples& samples) {
+// Places that grow darker with more exposure are left out; returns how many of all did.
+struct Visited {
+  std::size_t places = 0;
+  std::size_t contradictory = 0;
+};
+Visited addPlaces(const Camera& camera, const std::vector<Group>& groups, int bracket,
+                  const std::vector<PixelPosition>& hotPixels, int placesPerColour,
+                  ResponseSamples& samples) {
   struct Candidate {
     int x, y, s;
     double level;
     double contrast;
   };
   constexpr int kLevels = 100;
+  constexpr double kFall = 0.08;  // of full scale; no noise of a working camera reaches that
+  Visited visited;
   std::vector<Reader> readers;
   for (const Group& group : groups) readers.emplace_back(*group.frames[0]);
   std::vector<std::vector<Candidate>> candidates(index(camera.colours));
@@ -305,13 +329,14 @@ void addPlaces(const Camera& camera, const std::vector<Group>& groups, int brack
     if (x < pitch || y < pitch || x >= camera.width - pitch || y >= camera.height - pitch) return;
     Candidate candidate{x, y, s, 0, 0};
     int usable = 0;
-    double nearest = 1, darkest = 1, brightest = 0;
+    double nearest = 1, darkest = 1, brightest = 0, fall = 0;
     std::size_t middle = 0;
     for (std::size_t j = 0; j < readers.size(); ++j) {
       const double value = readers[j](x, y, s) / camera.saturation;
       candidate.level += value;
       darkest = std::min(darkest, value);
       brightest = std::max(brightest, value);
+      fall = std::max(fall, brightest - value);
       usable += value > 0.02 && value < 0.97;
       if (std::abs(value - 0.5) < nearest) {
         nearest = std::abs(value - 0.5);
@@ -320,6 +345,11 @@ void addPlaces(const Camera& camera, const std::vector<Group>& groups, int brack
     }
     // What no exposure changes is no picture but a frame around one.
     if (usable < 2 || brightest - darkest < 0.05) return;
+    ++visited.places;
+    if (fall > kFall) {
+      ++visited.contradictory;
+      return;
+    }
     const Reader& read = readers[middle];
     double low = read(x, y, s), high = low;
     for (const auto& [dx, dy] : {std::pair{pitch, 0}, {-pitch, 0}, {0, pitch}, {0, -pitch}}) {
@@ -356,17 +386,11 @@ void addPlaces(const Camera& camera, const std::vector<Group>& groups, int brack
       samples.places.push_back(std::move(place));
     }
   }
+  return visited;
 }
 
-double exposureOf(const ResponseFit::Curve& curve, double value) {
-  const double root = std::sqrt(std::clamp(value, 0.0, 1.0)) * (ResponseFit::kNodes - 1);
-  const int node = std::min(static_cast<int>(root), ResponseFit::kNodes - 2);
-  const double low = responseNodeValue(node);
-  return std::lerp(curve.exposure[index(node)], curve.exposure[index(node + 1)],
-                   (value - low) / (responseNodeValue(node + 1) - low));
-}
-
-// Largest distance from the best straight line over the values reached, as a fraction of full scale.
+// Largest distance from the best straight line over the values reached, as a fraction of full
+// scale.
 double deviationFromLine(const ResponseFit::Curve& curve) {
   constexpr int kSteps = 200;
   const double low = std::max(curve.lowest, curve.black);
@@ -375,7 +399,7 @@ double deviationFromLine(const ResponseFit::Curve& curve) {
   double sx = 0, sy = 0, sxx = 0, sxy = 0;
   for (int i = 0; i <= kSteps; ++i) {
     const double x = low + i * width;
-    const double y = exposureOf(curve, x);
+    const double y = curve.exposureAt(x);
     sx += x;
     sy += y;
     sxx += x * x;
@@ -386,7 +410,7 @@ double deviationFromLine(const ResponseFit::Curve& curve) {
   double largest = 0;
   for (int i = 0; i <= kSteps; ++i) {
     const double x = low + i * width;
-    largest = std::max(largest, std::abs(exposureOf(curve, x) - (sy / n + slope * (x - sx / n))));
+    largest = std::max(largest, std::abs(curve.exposureAt(x) - (sy / n + slope * (x - sx / n))));
   }
   return largest;
 }
@@ -403,7 +427,7 @@ Result<ResponseCurve> curveOf(const ResponseFit& fit, const Camera& camera, bool
   for (const auto& curve : fit.curves) {
     std::vector<double>& table = tables.emplace_back();
     for (int i = 0; i < nodes; ++i) {
-      table.push_back(exposureOf(curve, static_cast<double>(i) / (nodes - 1)));
+      table.push_back(curve.exposureAt(static_cast<double>(i) / (nodes - 1)));
     }
   }
   return ResponseCurve::tabulated(std::move(tables), camera.maxCount, camera.saturation);
@@ -419,10 +443,9 @@ struct TransferPoint {
 
 // Variance against mean from differences of two frames of one exposure, which what is fixed in the
 // picture leaves alone (Janesick 2007, chapter 5).
-std::vector<std::vector<TransferPoint>> photonTransfer(const Camera& camera,
-                                                       const ResponseCurve& response,
-                                                       const std::vector<std::vector<Group>>& brackets,
-                                                       const std::vector<bool>& clipped) {
+std::vector<std::vector<TransferPoint>> photonTransfer(
+    const Camera& camera, const ResponseCurve& response,
+    const std::vector<std::vector<Group>>& brackets, const std::vector<bool>& clipped) {
   constexpr std::size_t kBins = 48;
   constexpr double kFewest = 200;
   std::vector<std::vector<TransferPoint>> points(index(camera.colours));
@@ -452,10 +475,11 @@ std::vector<std::vector<TransferPoint>> photonTransfer(const Camera& camera,
             // The light may flicker between the two: the bin's mean difference is not noise.
             const double variance = 0.5 * (bin.dd / bin.n - std::pow(bin.d / bin.n, 2));
             const double reach = 4 * std::sqrt(variance) + 1;
-            if (mean + reach > camera.saturation || (clipped[index(colour)] && mean < reach)) continue;
+            if (mean + reach > camera.saturation || (clipped[index(colour)] && mean < reach))
+              continue;
             const double slope = response.slope(mean, colour);
-            points[index(colour)].push_back({response.exposure(mean, colour),
-                                             (variance - 1.0 / 12) * slope * slope, bin.n});
+            points[index(colour)].push_back(
+                {response.exposure(mean, colour), (variance - 1.0 / 12) * slope * slope, bin.n});
           }
         }
       }
@@ -519,8 +543,8 @@ struct Flat {
 // samples are defined.
 Result<Flat> measureFlat(const Camera& camera, const SensorModel& sensor,
                          std::span<const Frame> frames, int columns) {
-  const int rows = std::clamp(static_cast<int>(std::lround(
-                                  static_cast<double>(columns - 1) * camera.height / camera.width)) +
+  const int rows = std::clamp(static_cast<int>(std::lround(static_cast<double>(columns - 1) *
+                                                           camera.height / camera.width)) +
                                   1,
                               2, 4 * columns);
   const int nodes = columns * rows;
@@ -649,8 +673,9 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
   Progress& report = progress ? *progress : silent;
   RETURN_IF_ERROR(options.validate());
   if (input.brackets.empty() || input.brackets[0].empty()) {
-    return failure(ErrorCode::kInvalidArgument, "no bracket was given; a response needs pictures "
-                                                "of a still scene at several exposure times");
+    return failure(ErrorCode::kInvalidArgument,
+                   "no bracket was given; a response needs pictures "
+                   "of a still scene at several exposure times");
   }
   const Frame& first = input.brackets[0][0];
   Camera camera;
@@ -696,14 +721,16 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
   // Darkness.
   ResponseSamples samples;
   std::optional<Darkness> dark;
-  std::vector<ResponseSamples::Black> black = guessBlack(camera, brackets);
+  std::vector<ResponseSamples::Black> black = guessBlack(camera, brackets[0]);
   if (!input.darkFrames.empty()) {
     dark = measureDarkness(camera, input.darkFrames, options.hotPixelSigmas);
     sensor.hotPixels = dark->hotPixels;
     for (std::size_t c = 0; c < black.size(); ++c) {
       // A mean that clipping has lifted says little about where black is.
-      if (!dark->black[c].clipped) black[c] = dark->black[c];
-      else black[c].clipped = true;
+      if (!dark->black[c].clipped)
+        black[c] = dark->black[c];
+      else
+        black[c].clipped = true;
     }
   }
   RETURN_IF_ERROR(stage(1));
@@ -719,26 +746,35 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
     b.sigma /= camera.maxCount;
     samples.black.push_back(b);
   }
+  Visited visited;
   for (std::size_t b = 0; b < brackets.size(); ++b) {
     auto& exposures = samples.exposures.emplace_back();
     for (const Group& group : brackets[b]) {
       exposures.push_back({group.seconds, static_cast<int>(group.frames.size())});
     }
-    addPlaces(camera, brackets[b], static_cast<int>(b), sensor.hotPixels, options.placesPerColour,
-              samples);
+    const Visited here = addPlaces(camera, brackets[b], static_cast<int>(b), sensor.hotPixels,
+                                   options.placesPerColour, samples);
+    visited.places += here.places;
+    visited.contradictory += here.contradictory;
   }
+  const double contradictory = static_cast<double>(visited.contradictory) /
+                               std::max(1.0, static_cast<double>(visited.places));
+  const auto checkStill = [](double share) -> Result<void> {
+    if (share <= kMovedShare) return {};
+    return failure(ErrorCode::kInvalidArgument,
+                   "{:.0f} % of the places looked at contradict themselves between the exposures: "
+                   "the scene, the camera or the light moved, or the times are wrong; fix them and "
+                   "take the bracket again",
+                   100 * share);
+  };
+  RETURN_IF_ERROR(checkStill(contradictory));
   ASSIGN_OR_RETURN(ResponseFit fit, fitResponse(samples, {}));
   ASSIGN_OR_RETURN(ResponseFit timed, fitResponse(samples, {.estimateTimes = true}));
   // Two exposures leave nothing to tell a wrong time from the curve.
-  summary.timesEstimated =
-      brackets[0].size() > 2 && timed.spread < (1 - kTimesGain) * fit.spread;
+  summary.timesEstimated = brackets[0].size() > 2 && timed.spread < (1 - kTimesGain) * fit.spread;
   if (summary.timesEstimated) std::swap(fit, timed);
-  if (fit.disagreeing > kMovedShare) {
-    return failure(ErrorCode::kInvalidArgument,
-                   "{:.0f} % of the places looked at contradict themselves between the exposures: "
-                   "the scene, the camera or the light moved; fix both and take the bracket again",
-                   100 * fit.disagreeing);
-  }
+  summary.disagreeing = contradictory + (1 - contradictory) * fit.disagreeing;
+  RETURN_IF_ERROR(checkStill(summary.disagreeing));
   summary.linear = true;
   for (int c = 0; c < camera.colours; ++c) {
     auto& colour = summary.colours.emplace_back();
@@ -747,11 +783,10 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
     summary.linear = summary.linear && colour.linearDeviation <= options.linearTolerance;
   }
   if (summary.linear) {
-    ASSIGN_OR_RETURN(fit,
-                     fitResponse(samples, {.linear = true, .estimateTimes = summary.timesEstimated}));
+    ASSIGN_OR_RETURN(
+        fit, fitResponse(samples, {.linear = true, .estimateTimes = summary.timesEstimated}));
   }
   ASSIGN_OR_RETURN(sensor.response, curveOf(fit, camera, summary.linear));
-  summary.disagreeing = fit.disagreeing;
   summary.places = static_cast<int>(samples.places.size());
   for (int c = 0; c < camera.colours; ++c) {
     auto& colour = summary.colours[index(c)];
@@ -770,8 +805,11 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
     colour.residual = camera.maxCount * std::sqrt(squares / std::max(count, 1.0));
     std::vector<double> sigmas;
     for (int m = 0; m < ResponseFit::kNodes; ++m) {
-      const double value = responseNodeValue(m);
-      if (value >= curve.lowest && value <= curve.highest) sigmas.push_back(curve.logSigma[index(m)]);
+      const double value = curve.nodeValue(m);
+      if (value >= curve.lowest && value <= curve.highest &&
+          curve.exposure[index(m)] > ResponseFit::kDarkest) {
+        sigmas.push_back(curve.logSigma[index(m)]);
+      }
     }
     colour.curveSigma = median(sigmas);
   }
@@ -791,7 +829,8 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
 
   // Noise.
   auto transfer = photonTransfer(camera, sensor.response, brackets, clipped);
-  summary.noiseFromPairs = std::ranges::all_of(transfer, [](const auto& t) { return t.size() > 2; });
+  summary.noiseFromPairs =
+      std::ranges::all_of(transfer, [](const auto& t) { return t.size() > 2; });
   sensor.noise.gainDb = camera.gainDb;
   sensor.noise.channels.clear();
   for (int c = 0; c < camera.colours; ++c) {
@@ -804,8 +843,8 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
         const double counts = value * camera.maxCount;
         const double slope = sensor.response.slope(counts, c);
         const double sigma = fit.noiseSigma(c, value) * camera.maxCount;
-        points.push_back({sensor.response.exposure(counts, c),
-                          (sigma * sigma - 1.0 / 12) * slope * slope, 100});
+        points.push_back(
+            {sensor.response.exposure(counts, c), (sigma * sigma - 1.0 / 12) * slope * slope, 100});
       }
     } else if (dark && !clipped[index(c)] && dark->variance[index(c)] > 0) {
       const double slope = sensor.response.slope(black[index(c)].value, c);
@@ -833,16 +872,15 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
     sensor.darkCounts = std::move(dark->mean);
     if (!summary.linear || std::ranges::any_of(clipped, std::identity{})) {
       forEachSample(camera, 1, [&](int x, int y, int s, int c) {
-        sensor.darkCounts(x, y, s) += static_cast<float>(summary.colours[index(c)].blackCount -
-                                                         dark->black[index(c)].value);
+        sensor.darkCounts(x, y, s) +=
+            static_cast<float>(summary.colours[index(c)].blackCount - dark->black[index(c)].value);
       });
     }
     sensor.darkExposureSeconds = input.darkFrames[0].metadata.exposureSeconds;
   }
   RETURN_IF_ERROR(stage(3));
   if (!input.flatFrames.empty()) {
-    ASSIGN_OR_RETURN(auto flat,
-                     measureFlat(camera, sensor, input.flatFrames, options.flatColumns));
+    ASSIGN_OR_RETURN(auto flat, measureFlat(camera, sensor, input.flatFrames, options.flatColumns));
     for (int c = 0; c < camera.colours; ++c) {
       summary.colours[index(c)].flatSigma = flat.sigma[index(c)];
       for (int j = 0; j < flat.field.rows(); ++j) {

@@ -186,8 +186,8 @@ Result<std::vector<Frame>> readBracketFolder(const fs::path& folder) {
   for (const auto& entry : fs::directory_iterator(folder, error)) {
     const std::string extension = lowerExtension(entry.path());
     if (extension == ".txt") texts.push_back(entry.path());
-    if (extension == ".png" || extension == ".tif" || extension == ".tiff" ||
-        extension == ".jpg" || extension == ".jpeg") {
+    if (extension == ".png" || extension == ".tif" || extension == ".tiff" || extension == ".jpg" ||
+        extension == ".jpeg") {
       pictures.push_back(entry.path());
     }
   }

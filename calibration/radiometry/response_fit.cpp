@@ -20,17 +20,28 @@ constexpr int kKnots = 33;  // of ln(slope), even in the root of the value
 // Second differences of ln(slope) between knots scatter by this much in common response curves
 // (sRGB's largest is 0.05, at black).
 constexpr double kBend = 0.05;
-constexpr double kTimePrior = 0.1;   // one sigma of ln(true / nominal exposure time)
-constexpr double kGauge = 1e-6;      // sigma of constraints that only fix a scale
-constexpr double kClipSigmas = 4;    // samples keep that far from the clipping levels
+constexpr double kTimePrior = 0.1;    // one sigma of ln(true / nominal exposure time)
+constexpr double kGauge = 1e-6;       // sigma of constraints that only fix a scale
+constexpr double kClipSigmas = 4;     // samples keep that far from the clipping levels
 constexpr double kOutlierSigmas = 3;  // scale of the Cauchy weights
 constexpr std::size_t kFewestPlaces = 30;
 
 std::size_t index(int value) { return static_cast<std::size_t>(value); }
 
+double valueOfNode(double origin, int node) {
+  const double root = static_cast<double>(node) / (kNodes - 1);
+  return origin + (1 - origin) * root * root;
+}
+// The segment that a value lies in: its lower node.
+int segmentOf(double origin, double value) {
+  const double root = std::sqrt(std::clamp((value - origin) / (1 - origin), 0.0, 1.0));
+  return std::min(static_cast<int>(root * (kNodes - 1)), kNodes - 2);
+}
+
 // The curve of one colour while it is being solved for.
 struct Colour {
-  VectorXd q;        // ln(slope) at the knots; a single one for a line
+  double origin = 0;
+  VectorXd q;         // ln(slope) at the knots; a single one for a line
   double offset = 0;  // f(value) = integral of the slope - offset
   // Tables at the nodes: the integral, and its derivatives by q.
   VectorXd integral = VectorXd::Zero(kNodes);
@@ -54,7 +65,7 @@ struct Colour {
       }
       here *= std::exp(logSlope);
       if (m > 0) {
-        const double width = responseNodeValue(m) - responseNodeValue(m - 1);
+        const double width = valueOfNode(origin, m) - valueOfNode(origin, m - 1);
         byKnot.col(m) = byKnot.col(m - 1) + 0.5 * width * (before + here);
         integral[m] = integral[m - 1] + 0.5 * width * (before.sum() + here.sum());
       }
@@ -69,15 +80,14 @@ struct Colour {
     double slope;  // d(exposure) / d(value)
   };
   Place at(int node, double fraction) const {
-    const double low = responseNodeValue(node);
-    const double width = responseNodeValue(node + 1) - low;
+    const double low = valueOfNode(origin, node);
+    const double width = valueOfNode(origin, node + 1) - low;
     return {node, fraction, low + fraction * width, (integral[node + 1] - integral[node]) / width};
   }
   Place atValue(double value) const {
-    const double v = std::clamp(value, 0.0, 1.0);
-    const int node = std::min(static_cast<int>(std::sqrt(v) * (kNodes - 1)), kNodes - 2);
-    const double low = responseNodeValue(node);
-    return at(node, (v - low) / (responseNodeValue(node + 1) - low));
+    const int node = segmentOf(origin, value);
+    const double low = valueOfNode(origin, node);
+    return at(node, (value - low) / (valueOfNode(origin, node + 1) - low));
   }
   // The value at which the curve reaches an exposure; beyond the ends it goes on straight.
   Place atExposure(double exposure) const {
@@ -88,7 +98,8 @@ struct Colour {
     return at(node, (target - integral[node]) / (integral[node + 1] - integral[node]));
   }
   double integralAt(const Place& place) const {
-    return std::lerp(integral[place.node], integral[place.node + 1], place.fraction);
+    return integral[place.node] +
+           place.fraction * (integral[place.node + 1] - integral[place.node]);
   }
   double exposureAt(double value) const { return integralAt(atValue(value)) - offset; }
   VectorXd byKnotAt(const Place& place) const {
@@ -112,6 +123,11 @@ class Solver {
     rate_.resize(samples.places.size());
     // Before anything is known: two counts of an 8-bit camera, or half a percent.
     for (int c = 0; c < samples.colours; ++c) noise_.emplace_back().fill(0.005 + samples.step);
+    for (int c = 0; c < samples.colours; ++c) {
+      // Knots below black would have no samples to hold them.
+      const auto& black = samples.black[index(c)];
+      colours_[index(c)].origin = std::max(0.0, black.value - 2 * black.sigma);
+    }
   }
 
   // Sets a curve to start from, and the places' rates with it.
@@ -122,7 +138,7 @@ class Solver {
       colour.q.resize(knots_);
       for (int k = 0; k < knots_; ++k) {
         const double root = knots_ == 1 ? 0.7 : static_cast<double>(k) / (knots_ - 1);
-        colour.q[k] = logSlope(root * root);
+        colour.q[k] = logSlope(colour.origin + (1 - colour.origin) * root * root);
       }
       colour.tabulate();
       const double black = samples_.black[index(c)].value;
@@ -191,6 +207,8 @@ class Solver {
       scatter(place, local, localRight, normal, right);
     }
     addPriors(normal, right);
+    // Levenberg: what no sample determines stays where it is.
+    normal.diagonal().array() += 1;
     normal = normal.selfadjointView<Eigen::Lower>();
     const Eigen::LDLT<MatrixXd> factor(normal);
     VectorXd delta = factor.solve(right);
@@ -231,31 +249,37 @@ class Solver {
   // does not count.
   void estimateNoise() {
     std::vector<std::array<std::vector<double>, kNoiseBins>> errors(index(samples_.colours));
-    double used = 0, places = 0;
     for (std::size_t p = 0; p < rate_.size(); ++p) {
       const auto& place = samples_.places[p];
-      int here = 0;
-      forEachSample(p, [&](int j, const Colour::Place& at, double, double error, double) {
-        const int frames = samples_.exposures[index(place.bracket)][index(j)].frames;
-        errors[index(place.colour)][binOf(at.value)].push_back(std::abs(error) * std::sqrt(frames));
-        ++here;
+      double curvature = 0;  // of the place's rate
+      forEachSample(p, [&](int, const Colour::Place& at, double exposure, double, double weight) {
+        curvature += weight * std::pow(exposure / at.slope, 2);
       });
-      if (here >= 2) {
-        used += here;
-        ++places;
-      }
+      forEachSample(
+          p, [&](int j, const Colour::Place& at, double exposure, double error, double weight) {
+            // A sample pulls its place's rate towards itself: its residual is smaller than its
+            // error by the root of one minus its leverage. Without that, a bin of small noise would
+            // draw the fit through its samples and shrink to nothing.
+            const double freedom = 1 - weight * std::pow(exposure / at.slope, 2) / curvature;
+            if (freedom < 0.1) return;
+            const int frames = samples_.exposures[index(place.bracket)][index(j)].frames;
+            errors[index(place.colour)][binOf(at.value)].push_back(std::abs(error) *
+                                                                   std::sqrt(frames / freedom));
+          });
     }
-    // Every place takes one degree of freedom for its rate.
-    const double freedom = std::sqrt(used / std::max(used - places, 1.0));
     const double rounding = samples_.step / std::sqrt(12.0);
     for (std::size_t c = 0; c < errors.size(); ++c) {
       std::array<double, kNoiseBins> sigma{};
       for (std::size_t b = 0; b < sigma.size(); ++b) {
-        auto& list = errors[c][b];
-        if (list.size() < 20) continue;
+        // Three bins at a time: noise changes smoothly.
+        std::vector<double> list;
+        for (std::size_t near = b > 0 ? b - 1 : 0; near < std::min(b + 2, sigma.size()); ++near) {
+          list.insert(list.end(), errors[c][near].begin(), errors[c][near].end());
+        }
+        if (list.size() < 40) continue;
         const auto middle = list.begin() + static_cast<std::ptrdiff_t>(list.size() / 2);
         std::nth_element(list.begin(), middle, list.end());
-        sigma[b] = std::max(1.4826 * *middle * freedom, rounding);
+        sigma[b] = std::max(1.4826 * *middle, rounding);
       }
       // Empty bins take their neighbour's, from below first.
       if (std::ranges::all_of(sigma, [](double s) { return s == 0; })) continue;
@@ -296,8 +320,7 @@ class Solver {
     ResponseFit fit;
     fit.timeErrors = timeErrors_;
     fit.noiseBins = noise_;
-    const MatrixXd covariance =
-        normal_.ldlt().solve(MatrixXd::Identity(parameters_, parameters_));
+    const MatrixXd covariance = normal_.ldlt().solve(MatrixXd::Identity(parameters_, parameters_));
     std::vector<std::pair<double, double>> reached(index(samples_.colours), {1.0, 0.0});
     for (std::size_t p = 0; p < rate_.size(); ++p) {
       auto& [low, high] = reached[index(samples_.places[p].colour)];
@@ -309,6 +332,7 @@ class Solver {
     for (int c = 0; c < samples_.colours; ++c) {
       const Colour& colour = colours_[index(c)];
       ResponseFit::Curve curve;
+      curve.origin = colour.origin;
       const MatrixXd ofColour = covariance.block(firstOf(c), firstOf(c), knots_ + 1, knots_ + 1);
       const Colour::Place black = colour.atExposure(0);
       VectorXd a(knots_ + 1);
@@ -320,11 +344,13 @@ class Solver {
       for (int m = 0; m < kNodes; ++m) {
         curve.exposure.push_back(colour.integral[m] - colour.offset);
         byParameter.row(m) << colour.byKnot.col(m).transpose(), -1;
-        byParameter.row(m) /= std::max(curve.exposure.back(), 1e-9);
+        byParameter.row(m) /= std::max(curve.exposure.back(), ResponseFit::kDarkest);
       }
       // A common factor of the exposures means nothing: its part is taken off.
-      const int low = std::clamp(nodeOf(reached[index(c)].first), 0, kNodes - 1);
-      const int high = std::clamp(nodeOf(reached[index(c)].second), low, kNodes - 1);
+      const double darkest =
+          std::max(reached[index(c)].first, colour.atExposure(ResponseFit::kDarkest).value);
+      const int low = segmentOf(colour.origin, darkest);
+      const int high = std::max(low, segmentOf(colour.origin, reached[index(c)].second));
       const Eigen::RowVectorXd common =
           byParameter.middleRows(low, high - low + 1).colwise().mean();
       byParameter.rowwise() -= common;
@@ -354,7 +380,8 @@ class Solver {
       disagreeing += worst > 1;
     }
     fit.spread = std::sqrt(sum / std::max<double>(1, static_cast<double>(fit.residuals.size())));
-    fit.disagreeing = static_cast<double>(disagreeing) / std::max<double>(1, static_cast<double>(usable));
+    fit.disagreeing =
+        static_cast<double>(disagreeing) / std::max<double>(1, static_cast<double>(usable));
     return fit;
   }
 
@@ -363,9 +390,6 @@ class Solver {
   static constexpr double kContradiction = 0.04;
 
   int firstOf(int colour) const { return colour * (knots_ + 1); }
-  static int nodeOf(double value) {
-    return static_cast<int>(std::lround(std::sqrt(std::max(value, 0.0)) * (kNodes - 1)));
-  }
   static std::size_t binOf(double value) {
     return static_cast<std::size_t>(
         std::clamp(std::sqrt(std::max(value, 0.0)) * kNoiseBins, 0.0, kNoiseBins - 1.0));
@@ -474,9 +498,13 @@ class Solver {
 
 }  // namespace
 
-double responseNodeValue(int node) {
-  const double root = static_cast<double>(node) / (kNodes - 1);
-  return root * root;
+double ResponseFit::Curve::nodeValue(int node) const { return valueOfNode(origin, node); }
+
+double ResponseFit::Curve::exposureAt(double value) const {
+  const int node = segmentOf(origin, value);
+  const double low = nodeValue(node);
+  const double fraction = (value - low) / (nodeValue(node + 1) - low);
+  return exposure[index(node)] + fraction * (exposure[index(node + 1)] - exposure[index(node)]);
 }
 
 double ResponseFit::noiseSigma(int colour, double value) const {
@@ -514,11 +542,11 @@ Result<ResponseFit> fitResponse(const ResponseSamples& samples, const ResponseFi
   }
   Solver& solver = gammaIsBetter ? fromGamma : fromLine;
   int iteration = 0;
-  for (; iteration < 40; ++iteration) {
+  for (; iteration < 30; ++iteration) {
     const auto change = solver.step();
     if (!change) return unsolvable();
-    if (iteration >= 2 && iteration < 12) solver.estimateNoise();
-    if (iteration >= 14 && *change < 1e-4) break;
+    if (iteration >= 2 && iteration < 16) solver.estimateNoise();
+    if (iteration >= 18 && *change < 1e-3) break;
   }
   if (solver.usablePlaces() < kFewestPlaces) return unsolvable();
   ResponseFit fit = solver.result();

@@ -42,14 +42,21 @@ struct ResponseFitOptions {
 };
 
 struct ResponseFit {
-  // Per colour, at kNodes values evenly spaced in the root of the value.
   static constexpr int kNodes = 1025;
+  // Relative errors mean nothing at black: they are given from this exposure on.
+  static constexpr double kDarkest = 0.003;
   struct Curve {
-    std::vector<double> exposure;  // 1 at saturation
-    std::vector<double> logSigma;  // one sigma of ln(exposure), a common factor aside
-    double black = 0;              // value of no light
+    double origin = 0;             // value of the first node; the curve goes on straight below
+    std::vector<double> exposure;  // at the nodes; 1 at saturation
+    std::vector<double>
+        logSigma;      // one sigma of ln(exposure) from kDarkest on, a common factor aside
+    double black = 0;  // value of no light
     double blackSigma = 0;
     double lowest = 0, highest = 0;  // values that samples of this fit reach
+
+    // Nodes are even in the root of what the value exceeds the origin by: curves bend near black.
+    double nodeValue(int node) const;
+    double exposureAt(double value) const;
   };
   struct Residual {
     int colour;
@@ -59,8 +66,8 @@ struct ResponseFit {
   std::vector<Curve> curves;
   std::vector<std::vector<double>> timeErrors;  // ln(true / nominal) per bracket and exposure
   std::vector<Residual> residuals;
-  double spread = 0;         // root mean square of the residuals, outliers limited to 5 sigma
-  double disagreeing = 0;    // share of the places that contradict themselves over the exposures
+  double spread = 0;       // root mean square of the residuals, outliers limited to 5 sigma
+  double disagreeing = 0;  // share of the places that contradict themselves over the exposures
   int iterations = 0;
   // Noise of a single frame, one sigma, at a value; from the residuals.
   double noiseSigma(int colour, double value) const;
@@ -68,9 +75,6 @@ struct ResponseFit {
   static constexpr int kNoiseBins = 24;
   std::vector<std::array<double, kNoiseBins>> noiseBins;  // per colour, even in the root of value
 };
-
-// value at node i of a curve.
-double responseNodeValue(int node);
 
 // Maximum likelihood in the domain where the noise lives: with f the curve, E a place's exposure
 // rate and t a time, every sample is  value = f^-1(E t) + noise(value).  f is the integral of

@@ -46,24 +46,28 @@ class Plot {
     bool logarithmic = false;
   };
   Plot(Axis x, Axis y) : x_(std::move(x)), y_(std::move(y)) {
-    svg_ = fmt::format("<svg viewBox=\"0 0 520 360\" role=\"img\"><rect class=\"frame\" x=\"{}\" "
-                       "y=\"{}\" width=\"{}\" height=\"{}\"/>\n",
-                       kLeft, kTop, kWidth, kHeight);
+    svg_ = fmt::format(
+        "<svg viewBox=\"0 0 520 360\" role=\"img\"><rect class=\"frame\" x=\"{}\" "
+        "y=\"{}\" width=\"{}\" height=\"{}\"/>\n",
+        kLeft, kTop, kWidth, kHeight);
     for (const double tick : ticks(x_)) {
       const double at = px(tick);
-      svg_ += fmt::format("<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1}\" y2=\"{2}\"/>"
-                          "<text x=\"{0:.1f}\" y=\"{3}\" text-anchor=\"middle\">{4:g}</text>\n",
-                          at, kTop, kTop + kHeight, kTop + kHeight + 16, tick);
+      svg_ += fmt::format(
+          "<line class=\"grid\" x1=\"{0:.1f}\" x2=\"{0:.1f}\" y1=\"{1}\" y2=\"{2}\"/>"
+          "<text x=\"{0:.1f}\" y=\"{3}\" text-anchor=\"middle\">{4:g}</text>\n",
+          at, kTop, kTop + kHeight, kTop + kHeight + 16, tick);
     }
     for (const double tick : ticks(y_)) {
       const double at = py(tick);
-      svg_ += fmt::format("<line class=\"grid\" y1=\"{0:.1f}\" y2=\"{0:.1f}\" x1=\"{1}\" x2=\"{2}\"/>"
-                          "<text x=\"{3}\" y=\"{4:.1f}\" text-anchor=\"end\">{5:g}</text>\n",
-                          at, kLeft, kLeft + kWidth, kLeft - 6, at + 4, tick);
+      svg_ += fmt::format(
+          "<line class=\"grid\" y1=\"{0:.1f}\" y2=\"{0:.1f}\" x1=\"{1}\" x2=\"{2}\"/>"
+          "<text x=\"{3}\" y=\"{4:.1f}\" text-anchor=\"end\">{5:g}</text>\n",
+          at, kLeft, kLeft + kWidth, kLeft - 6, at + 4, tick);
     }
-    svg_ += fmt::format("<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{}</text>"
-                        "<text x=\"{}\" y=\"14\">{}</text>\n",
-                        kLeft + kWidth / 2, kTop + kHeight + 36, x_.label, kLeft, y_.label);
+    svg_ += fmt::format(
+        "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{}</text>"
+        "<text x=\"{}\" y=\"14\">{}</text>\n",
+        kLeft + kWidth / 2, kTop + kHeight + 36, x_.label, kLeft, y_.label);
   }
   template <class F>
   void curve(const std::string& style, F f) {
@@ -71,8 +75,8 @@ class Plot {
     bool pen = false;
     for (int i = 0; i <= 240; ++i) {
       const double t = i / 240.0;
-      const double x = x_.logarithmic ? x_.low * std::pow(x_.high / x_.low, t)
-                                      : x_.low + t * (x_.high - x_.low);
+      const double x =
+          x_.logarithmic ? x_.low * std::pow(x_.high / x_.low, t) : x_.low + t * (x_.high - x_.low);
       const double y = f(x);
       const bool inside = y >= y_.low && y <= y_.high;
       if (inside) path += fmt::format("{}{:.1f} {:.1f}", pen ? 'L' : 'M', px(x), py(y));
@@ -230,20 +234,23 @@ std::string html(const ResponseCalibration& calibration) {
   const SensorModel& sensor = calibration.sensor;
   const ResponseSummary& summary = calibration.summary;
   double deviation = 0;
-  for (const auto& colour : summary.colours) deviation = std::max(deviation, colour.linearDeviation);
+  for (const auto& colour : summary.colours)
+    deviation = std::max(deviation, colour.linearDeviation);
   std::string page = fmt::format(
       "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n<meta "
       "name=\"viewport\" content=\"width=device-width\">\n<title>Response</title>\n<style>{}"
-      "</style>\n</head>\n<body>\n<main>\n<h1>The sensor is {}</h1>\n<p>Its curve leaves a straight "
+      "</style>\n</head>\n<body>\n<main>\n<h1>The sensor is {}</h1>\n<p>Its curve leaves a "
+      "straight "
       "line by at most {:.2f} % of full scale. {} &times; {} {}, saturation at {:g} of {:g} "
       "counts.</p>\n",
       kStyle, summary.linear ? "linear" : "not linear", 100 * deviation, sensor.width,
       sensor.height, pixelFormatInfo(sensor.format).name, sensor.response.saturationCount(),
       sensor.response.maxCount());
-  page += "<table>\n<thead><tr><th>colour</th><th>black level<br>counts</th><th>deviation<br>from a "
-          "line</th><th>residual<br>counts</th><th>known from .. to<br>counts</th><th>curve, one "
-          "sigma</th><th>electrons<br>to saturation</th><th>read noise<br>electrons</th><th>counts"
-          "<br>per electron</th></tr></thead>\n<tbody>\n";
+  page +=
+      "<table>\n<thead><tr><th>colour</th><th>black level<br>counts</th><th>deviation<br>from a "
+      "line</th><th>residual<br>counts</th><th>known from .. to<br>counts</th><th>curve, one "
+      "sigma</th><th>electrons<br>to saturation</th><th>read noise<br>electrons</th><th>counts"
+      "<br>per electron</th></tr></thead>\n<tbody>\n";
   for (std::size_t c = 0; c < summary.colours.size(); ++c) {
     const auto& colour = summary.colours[c];
     const auto i = static_cast<int>(c);
@@ -254,23 +261,24 @@ std::string html(const ResponseCalibration& calibration) {
                  : fmt::format("about {:.{}f}", value, digits);
     };
     page += fmt::format(
-        "<tr><td>{}</td><td>{:.2f} &plusmn; {:.2f}{}</td><td>{:.2f} %</td><td>{:.2f}</td><td>{:.0f} "
+        "<tr><td>{}</td><td>{:.2f} &plusmn; {:.2f}{}</td><td>{:.2f} "
+        "%</td><td>{:.2f}</td><td>{:.0f} "
         ".. {:.0f}</td><td>{:.2f} %</td><td>{}</td><td>{}</td><td>{:.4f}</td></tr>\n",
-        colour.name, colour.blackCount, colour.blackSigma,
-        colour.blackClipped ? ", clipped" : "", 100 * colour.linearDeviation, colour.residual,
-        colour.lowestCount, colour.highestCount, 100 * colour.curveSigma,
-        withSigma(noise.electronsAtSaturation, colour.electronsSigma, 0),
+        colour.name, colour.blackCount, colour.blackSigma, colour.blackClipped ? ", clipped" : "",
+        100 * colour.linearDeviation, colour.residual, colour.lowestCount, colour.highestCount,
+        100 * colour.curveSigma, withSigma(noise.electronsAtSaturation, colour.electronsSigma, 0),
         withSigma(noise.readNoiseElectrons, colour.readNoiseSigma, 1),
         sensor.noise.countsPerElectron(sensor.response, i));
   }
   page += "</tbody>\n</table>\n<div class=\"plots\">\n<section><h2>Response</h2>\n" +
           curvePlot(calibration) +
-          fmt::format("<p class=\"soft\">Outside the counts that the bracket reached the curve is "
-                      "extrapolated.</p></section>\n<section><h2>Residuals</h2>\n{}<p "
-                      "class=\"soft\">{} places of the scene; {:.1f} % of them contradict "
-                      "themselves between exposures. A trend along the counts would mean that the "
-                      "curve is wrong.</p></section>\n",
-                      residualPlot(calibration), summary.places, 100 * summary.disagreeing);
+          fmt::format(
+              "<p class=\"soft\">Outside the counts that the bracket reached the curve is "
+              "extrapolated.</p></section>\n<section><h2>Residuals</h2>\n{}<p "
+              "class=\"soft\">{} places of the scene; {:.1f} % of them contradict "
+              "themselves between exposures. A trend along the counts would mean that the "
+              "curve is wrong.</p></section>\n",
+              residualPlot(calibration), summary.places, 100 * summary.disagreeing);
   page += fmt::format(
       "<section><h2>Photon transfer</h2>\n{}<p class=\"soft\">{} Line: the model, variance = "
       "exposure / electrons + (read noise / electrons)&sup2;.</p></section>\n",
@@ -280,9 +288,10 @@ std::string html(const ResponseCalibration& calibration) {
           : "From the residuals of the curve: an estimate only. Take two frames per exposure for "
             "a measurement.");
   if (summary.darkFrames > 0) {
-    page += fmt::format("<section><h2>Hot pixels: {}</h2>\n{}<p class=\"soft\">From {} dark "
-                        "frames.</p></section>\n",
-                        sensor.hotPixels.size(), hotPixelMap(sensor), summary.darkFrames);
+    page += fmt::format(
+        "<section><h2>Hot pixels: {}</h2>\n{}<p class=\"soft\">From {} dark "
+        "frames.</p></section>\n",
+        sensor.hotPixels.size(), hotPixelMap(sensor), summary.darkFrames);
   }
   if (sensor.flatField) {
     for (int c = 0; c < sensor.flatField->colours(); ++c) {
@@ -295,8 +304,9 @@ std::string html(const ResponseCalibration& calibration) {
           100 * summary.colours[static_cast<std::size_t>(c)].flatSigma);
     }
   }
-  page += "</div>\n<h2>Exposures</h2>\n<table>\n<thead><tr><th>bracket</th><th>nominal "
-          "s</th><th>frames</th><th>true against nominal</th></tr></thead>\n<tbody>\n";
+  page +=
+      "</div>\n<h2>Exposures</h2>\n<table>\n<thead><tr><th>bracket</th><th>nominal "
+      "s</th><th>frames</th><th>true against nominal</th></tr></thead>\n<tbody>\n";
   for (const auto& exposure : summary.exposures) {
     page += fmt::format("<tr><td>{}</td><td>{:g}</td><td>{}</td><td>{}</td></tr>\n",
                         exposure.bracket + 1, exposure.seconds, exposure.frames,

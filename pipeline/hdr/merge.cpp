@@ -28,8 +28,8 @@ class VarianceTable {
     for (std::size_t i = 0; i <= kVarianceNodes; ++i) {
       const double root = static_cast<double>(i) / kVarianceNodes;
       const double count = response.count(root * root, colour);
-      variance_.push_back(sensor.noise.exposureVariance(
-          root * root, response.slope(count, colour), colour, gainDb));
+      variance_.push_back(sensor.noise.exposureVariance(root * root, response.slope(count, colour),
+                                                        colour, gainDb));
     }
     for (std::size_t i = 0; i <= kVarianceNodes; ++i) {
       const double root = static_cast<double>(i) / kVarianceNodes;

@@ -202,7 +202,7 @@ RadianceImage SamplePlane::demosaic() {
 
   RadianceImage image(width_, height_, 3);
   std::vector<float> filtered(4 * index(width_));
-  float* const cross = filtered.data();         // green at red and blue
+  float* const cross = filtered.data();          // green at red and blue
   float* const alongRow = cross + width_;        // the row's own colour at green
   float* const alongColumn = alongRow + width_;  // the other colour at green
   float* const diagonal = alongColumn + width_;  // red at blue, blue at red

@@ -34,9 +34,9 @@ struct CvBracket {
 CvBracket forOpenCv(const std::vector<Frame>& frames) {
   CvBracket bracket;
   for (const Frame& frame : frames) {
-    bracket.pictures.push_back(cv::Mat(frame.height, frame.width, CV_8UC3,
-                                       const_cast<std::uint8_t*>(frame.bytes.data()))
-                                   .clone());
+    bracket.pictures.push_back(
+        cv::Mat(frame.height, frame.width, CV_8UC3, const_cast<std::uint8_t*>(frame.bytes.data()))
+            .clone());
     bracket.times.push_back(static_cast<float>(frame.metadata.exposureSeconds));
   }
   return bracket;
@@ -46,8 +46,7 @@ cv::Mat tableOf(const std::function<double(int count, int colour)>& exposure) {
   cv::Mat table(256, 1, CV_32FC3);
   for (int count = 0; count < 256; ++count) {
     for (int c = 0; c < 3; ++c) {
-      table.at<cv::Vec3f>(count)[c] =
-          static_cast<float>(std::max(exposure(count, c), 1e-6));
+      table.at<cv::Vec3f>(count)[c] = static_cast<float>(std::max(exposure(count, c), 1e-6));
     }
   }
   return table;
@@ -105,8 +104,9 @@ void simulated() {
   }
   const CvBracket cvBracket = forOpenCv(frames);
 
-  fmt::print("Response of an 8-bit camera with sRGB's curve, 9 exposures 2x apart, 15000 e, 8 e read "
-             "noise\n  rms relative error, best factor taken off; bar 0.5 % over counts 20..235\n");
+  fmt::print(
+      "Response of an 8-bit camera with sRGB's curve, 9 exposures 2x apart, 15000 e, 8 e read "
+      "noise\n  rms relative error, best factor taken off; bar 0.5 % over counts 20..235\n");
   ResponseCalibration ours;
   const double ourSeconds = secondsOf([&] {
     auto result = calibrateResponse({.brackets = {frames}, .darkFrames = {}, .flatFrames = {}});
@@ -116,15 +116,16 @@ void simulated() {
   const ResponseCurve& curve = ours.sensor.response;
   for (int c = 0; c < 3; ++c) {
     const auto exposure = [&](int count) { return curve.exposure(count, c); };
-    fmt::print("  lightsketch, colour {}         20..235: {:5.2f} %   10..250: {:5.2f} %   monotone: "
-               "{}   {:.2f} s\n",
-               c, responseError(exposure, 20, 235), responseError(exposure, 10, 250),
-               monotone(exposure) ? "yes" : "no", ourSeconds);
+    fmt::print(
+        "  lightsketch, colour {}         20..235: {:5.2f} %   10..250: {:5.2f} %   monotone: "
+        "{}   {:.2f} s\n",
+        c, responseError(exposure, 20, 235), responseError(exposure, 10, 250),
+        monotone(exposure) ? "yes" : "no", ourSeconds);
   }
   cv::Mat debevec, robertson;
   const double debevecSeconds = secondsOf([&] {
-    cv::createCalibrateDebevec(144, 10, true)->process(cvBracket.pictures, debevec,
-                                                       cvBracket.times);
+    cv::createCalibrateDebevec(144, 10, true)
+        ->process(cvBracket.pictures, debevec, cvBracket.times);
   });
   const double robertsonSeconds = secondsOf([&] {
     cv::createCalibrateRobertson()->process(cvBracket.pictures, robertson, cvBracket.times);
@@ -155,9 +156,9 @@ void simulated() {
       if (!merged) throw std::runtime_error(merged.error().message);
       map = std::move(*merged);
     });
-    printMerge(name, sensor,
-               [&](int x, int y, int c) { return static_cast<double>(map.radiance(x, y, c)); },
-               seconds);
+    printMerge(
+        name, sensor,
+        [&](int x, int y, int c) { return static_cast<double>(map.radiance(x, y, c)); }, seconds);
   }
   const cv::Mat exact = tableOf([](int count, int) { return srgbLight(count / 255.0); });
   const cv::Mat found = tableOf([&](int count, int c) { return curve.exposure(count, c); });
@@ -170,11 +171,10 @@ void simulated() {
         cv::createMergeRobertson()->process(cvBracket.pictures, picture, cvBracket.times, response);
       }
     });
-    printMerge(name.c_str(), sensor,
-               [&](int x, int y, int c) {
-                 return static_cast<double>(picture.at<cv::Vec3f>(y, x)[c]);
-               },
-               seconds);
+    printMerge(
+        name.c_str(), sensor,
+        [&](int x, int y, int c) { return static_cast<double>(picture.at<cv::Vec3f>(y, x)[c]); },
+        seconds);
   };
   cvMerge("true response: OpenCV Debevec", true, exact);
   cvMerge("true response: OpenCV Robertson", false, exact);
@@ -200,14 +200,14 @@ void memorial(const std::filesystem::path& folder, const std::filesystem::path& 
   });
   fmt::print("{}", ours.summary.text(ours.sensor));
   if (ours.summary.timesEstimated) {
-    for (const auto& e : ours.summary.exposures) fmt::print("  {:g} s {:+.1f} %", e.seconds, 100 * e.timeError);
+    for (const auto& e : ours.summary.exposures)
+      fmt::print("  {:g} s {:+.1f} %", e.seconds, 100 * e.timeError);
     fmt::print("\n");
   }
   for (int c = 0; c < 3; ++c) {
     fmt::print("  colour {}: response monotone: {}\n", c,
-               monotone([&](int count) { return ours.sensor.response.exposure(count, c); })
-                   ? "yes"
-                   : "no");
+               monotone([&](int count) { return ours.sensor.response.exposure(count, c); }) ? "yes"
+                                                                                            : "no");
   }
   const auto sensor = std::make_shared<SensorModel>(ours.sensor);
   RadianceMap map;
@@ -220,8 +220,8 @@ void memorial(const std::filesystem::path& folder, const std::filesystem::path& 
     cv::Mat response, picture;
     const double seconds = secondsOf([&] {
       if (useDebevec) {
-        cv::createCalibrateDebevec(144, 10, true)->process(cvBracket.pictures, response,
-                                                           cvBracket.times);
+        cv::createCalibrateDebevec(144, 10, true)
+            ->process(cvBracket.pictures, response, cvBracket.times);
         cv::createMergeDebevec()->process(cvBracket.pictures, picture, cvBracket.times, response);
       } else {
         cv::createCalibrateRobertson()->process(cvBracket.pictures, response, cvBracket.times);
@@ -241,10 +241,10 @@ void memorial(const std::filesystem::path& folder, const std::filesystem::path& 
       const auto at = [&](double q) {
         return ratios[static_cast<std::size_t>(q * static_cast<double>(ratios.size() - 1))];
       };
-      fmt::print("  against {:<17} colour {}: ln ratio, median taken off: half within {:.3f}, 90 % "
-                 "within {:+.3f} .. {:+.3f}; {:.2f} s\n",
-                 name, c, 0.5 * (at(0.75) - at(0.25)), at(0.05) - at(0.5), at(0.95) - at(0.5),
-                 seconds);
+      fmt::print(
+          "  against {:<17} colour {}: ln ratio, median taken off: half within {:.3f}, 90 % "
+          "within {:+.3f} .. {:+.3f}; {:.2f} s\n",
+          name, c, 0.5 * (at(0.75) - at(0.25)), at(0.05) - at(0.5), at(0.95) - at(0.5), seconds);
     }
   };
   compare("OpenCV Debevec", true);

@@ -56,7 +56,8 @@ struct SimulatedSensor {
           if (hot(x, y)) mean += 0.1 + 0.9 * fixedPattern(x, y, 99);
           mean = std::clamp(mean, 0.0, 4.0) * fullWell;
           double electrons = readNoise * normal(random);
-          if (mean > 0) electrons += static_cast<double>(std::poisson_distribution<long>(mean)(random));
+          if (mean > 0)
+            electrons += static_cast<double>(std::poisson_distribution<long>(mean)(random));
           const double light = electrons / fullWell;
           const double signal = response ? response(std::clamp(light, 0.0, 1.0)) : light;
           const auto count = static_cast<int>(
