@@ -139,7 +139,17 @@ ProjectDirection extendedUnified(const Intrinsics& c, double alpha, double beta)
 
 // --- Refits --------------------------------------------------------------------------------------
 
-// Largest angle off axis at which the lens still sees the picture and still spreads outwards.
+bool insideOf(const std::vector<Vector2d>& polygon, const Vector2d& pixel) {
+  std::vector<cv::Point2f> contour;
+  for (const Vector2d& p : polygon) {
+    contour.emplace_back(static_cast<float>(p.x()), static_cast<float>(p.y()));
+  }
+  return cv::pointPolygonTest(
+             contour, {static_cast<float>(pixel.x()), static_cast<float>(pixel.y())}, false) >= 0;
+}
+
+// Largest angle off axis at which the lens still sees the picture, or the part of it that
+// is said to be valid, and still spreads outwards.
 Angle fieldOf(const ForeignLens& lens) {
   const auto centre = lens.project(Vector3d::UnitZ());
   if (!centre) return Angle();
@@ -158,7 +168,8 @@ Angle fieldOf(const ForeignLens& lens) {
         folds = std::min(folds, degrees - 2 * kStep);
         break;
       }
-      if (pixel->x() < 0 || pixel->y() < 0 || pixel->x() > lens.width || pixel->y() > lens.height) {
+      if (pixel->x() < 0 || pixel->y() < 0 || pixel->x() > lens.width || pixel->y() > lens.height ||
+          (!lens.validRegion.empty() && !insideOf(lens.validRegion, *pixel))) {
         break;
       }
       seen = std::max(seen, degrees);
@@ -292,10 +303,6 @@ std::string describeLoss(const CameraConversion& conversion) {
 // The field per sector of azimuth that a polygon in the picture leaves; empty for no polygon.
 std::vector<Angle> coveredBy(const std::vector<Vector2d>& polygon, const CameraModel& model) {
   if (polygon.size() < 3) return {};
-  std::vector<cv::Point2f> contour;
-  for (const Vector2d& p : polygon) {
-    contour.emplace_back(static_cast<float>(p.x()), static_cast<float>(p.y()));
-  }
   constexpr int kSectors = 72;
   std::vector<Angle> covered;
   for (int i = 0; i < kSectors; ++i) {
@@ -306,8 +313,7 @@ std::vector<Angle> coveredBy(const std::vector<Vector2d>& polygon, const CameraM
       const auto pixel = model.project(
           {std::sin(theta) * std::cos(phi), std::sin(theta) * std::sin(phi), std::cos(theta)});
       if (!pixel) break;
-      const cv::Point2f point(static_cast<float>(pixel->x()), static_cast<float>(pixel->y()));
-      if (cv::pointPolygonTest(contour, point, false) < 0) break;
+      if (!insideOf(polygon, *pixel)) break;
       inside = degrees;
     }
     covered.push_back(Angle::degrees(inside));
@@ -320,6 +326,14 @@ Result<LoadedCamera> toOurs(const ForeignLens& lens, const std::string& where) {
     return failure(ErrorCode::kCorrupt, "{}: the picture's size is missing or wrong", where);
   }
   const Angle seen = fieldOf(lens);
+  // Outside the valid region a spline may do anything: nothing is fitted there.
+  const ProjectDirection truth = [&](const Vector3d& v) {
+    auto pixel = lens.project(v);
+    if (pixel && !lens.field && !lens.validRegion.empty() && !insideOf(lens.validRegion, *pixel)) {
+      pixel.reset();
+    }
+    return pixel;
+  };
   const Angle wanted = lens.field ? std::min(*lens.field, Angle::degrees(180)) : seen;
   if (!(seen.degrees() > 1 && wanted.degrees() > 1)) {
     return failure(ErrorCode::kCorrupt, "{}: {}: the lens sees nothing of its picture", where,
@@ -339,7 +353,7 @@ Result<LoadedCamera> toOurs(const ForeignLens& lens, const std::string& where) {
       parameters = *lens.same;
       parameters.maxFieldAngle = field;
     } else {
-      auto fitted = fitFisheye(lens.project, lens.width, lens.height, field,
+      auto fitted = fitFisheye(truth, lens.width, lens.height, field,
                                {FisheyeLayout::kPupil, FisheyeLayout::kPupil + 1});
       if (!fitted) {
         return failure(ErrorCode::kUnsupported, "{}: {}: {}", where, lens.kind,
@@ -356,7 +370,7 @@ Result<LoadedCamera> toOurs(const ForeignLens& lens, const std::string& where) {
   }
   conversion.lostField = wanted - model->maxFieldAngle();
   if (conversion.refit) {
-    conversion.largestError = largestDifference(*model, lens.project, model->maxFieldAngle());
+    conversion.largestError = largestDifference(*model, truth, model->maxFieldAngle());
   }
   conversion.text =
       fmt::format("{}: {}, as {}: {}; valid to {:.1f} degrees off axis{}", where, lens.kind,
@@ -695,21 +709,6 @@ std::string kalibrText(std::string_view camera, std::string_view distortion,
       "  rostopic: /cam0/image_raw\n  {}: {}\n",
       note, camera, list(coefficients), distortion, list(intrinsics), model.width(), model.height(),
       kFieldKey, text17(field.degrees()));
-}
-
-// Where the covered field ends, in the picture.
-std::vector<Vector2d> coveredPolygon(const FisheyeModel& model) {
-  const auto& covered = model.uncertainty().coveredField;
-  std::vector<Vector2d> polygon;
-  for (std::size_t i = 0; i < covered.size(); ++i) {
-    const double phi =
-        2 * std::numbers::pi * (static_cast<double>(i) + 0.5) / static_cast<double>(covered.size());
-    const double theta = std::min(covered[i], model.maxFieldAngle()).radians();
-    const auto pixel = model.project(
-        {std::sin(theta) * std::cos(phi), std::sin(theta) * std::sin(phi), std::cos(theta)});
-    if (pixel) polygon.push_back(*pixel);
-  }
-  return polygon.size() == covered.size() ? polygon : std::vector<Vector2d>{};
 }
 
 }  // namespace

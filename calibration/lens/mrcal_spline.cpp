@@ -159,6 +159,20 @@ std::string cameraModelText(const SplinedLens& lens, const std::vector<Vector2d>
   return text;
 }
 
+std::vector<Vector2d> coveredPolygon(const FisheyeModel& model) {
+  const auto& covered = model.uncertainty().coveredField;
+  std::vector<Vector2d> polygon;
+  for (std::size_t i = 0; i < covered.size(); ++i) {
+    const double phi =
+        2 * std::numbers::pi * (static_cast<double>(i) + 0.5) / static_cast<double>(covered.size());
+    const double theta = std::min(covered[i], model.maxFieldAngle()).radians();
+    const auto pixel = model.project(
+        {std::sin(theta) * std::cos(phi), std::sin(theta) * std::sin(phi), std::cos(theta)});
+    if (pixel) polygon.push_back(*pixel);
+  }
+  return polygon.size() == covered.size() ? polygon : std::vector<Vector2d>{};
+}
+
 Result<MrcalLens> parseCameraModel(const std::string& text, const std::string& where) {
   // mrcal prints what it does not know; ask first.
   const std::size_t begin = std::min(text.find("LENSMODEL_"), text.size());

@@ -8,6 +8,7 @@
 #include <string>
 #include <vector>
 
+#include "calibration/model/camera_model.h"
 #include "capture/frame/angle.h"
 #include "capture/frame/result.h"
 
@@ -37,6 +38,9 @@ Result<SplinedLens> fitSpline(const ProjectDirection& project, int width, int he
 std::string cameraModelText(const SplinedLens& lens,
                             const std::vector<Eigen::Vector2d>& validRegion,
                             const std::string& note);
+
+// Where a lens' covered field ends, in the picture; empty if it does not say.
+std::vector<Eigen::Vector2d> coveredPolygon(const FisheyeModel& model);
 
 // Any lens that mrcal reads, as a projection.
 struct MrcalLens {
