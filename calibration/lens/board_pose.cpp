@@ -82,6 +82,10 @@ struct Refined {
 };
 std::optional<Refined> refine(const CameraModel& model, const Corners& corners,
                               const Isometry3d& start, double robustPixels) {
+  // Ceres complains on standard error about a start that cannot be evaluated.
+  for (const auto& corner : corners.onBoard) {
+    if (!model.projectPoint(start * corner)) return std::nullopt;
+  }
   double delta[6] = {};
   ceres::Problem problem;
   for (std::size_t i = 0; i < corners.pixels.size(); ++i) {
