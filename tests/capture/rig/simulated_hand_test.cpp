@@ -176,5 +176,45 @@ TEST(SpiralMotion, ClosesItsLoop) {
   EXPECT_GT(degreesBetween(spiral.at(0).position, spiral.at(5).position), 60);
 }
 
+TEST(SimulatedHand, RoamsSmoothlyBetweenTheDistancesAsked) {
+  SimulatedHand hand(4, {0.6, 1.5, false});
+  hand.advanceTo(90);
+  double nearest = 9, farthest = 0, fastest = 0;
+  for (double t = 0; t < 90; t += 0.1) {
+    const double distance = hand.at(t).position.norm();
+    nearest = std::min(nearest, distance);
+    farthest = std::max(farthest, distance);
+    fastest = std::max(fastest, std::abs(hand.at(t + 0.1).position.norm() - distance) / 0.1);
+  }
+  // The hand's own unsteadiness, 2.5 percent rms and at most 8, comes on top.
+  EXPECT_GT(nearest, 0.6 * 0.92);
+  EXPECT_LT(nearest, 0.7);
+  EXPECT_GT(farthest, 1.35);
+  EXPECT_LT(farthest, 1.5 * 1.08);
+  EXPECT_LT(fastest, 1.0);  // metres per second
+}
+
+TEST(SimulatedHand, SweepsTheHemisphereByItself) {
+  SimulatedHand hand(4, {0.9, 0.9, true});
+  hand.advanceTo(26);
+  // Even directions above 10 degrees: how far does the lamp stay away from any?
+  double loneliest = 0;
+  for (int i = 0; i < 200; ++i) {
+    const double z = 0.18 + 0.82 * (i + 0.5) / 200, azimuth = 2.39996 * i;
+    const double r = std::sqrt(1 - z * z);
+    const Vector3d direction(r * std::cos(azimuth), r * std::sin(azimuth), z);
+    double nearest = 9;
+    for (double t = 0; t < 26; t += 0.05) {
+      const LampState lamp = hand.at(t);
+      EXPECT_TRUE(lamp.lit && lamp.cover == 0);
+      nearest =
+          std::min(nearest, std::acos(std::min(1.0, direction.dot(lamp.position.normalized()))));
+    }
+    loneliest = std::max(loneliest, nearest);
+  }
+  // Turns of equal area are 42 degrees wide at the zenith and 12 at the rim.
+  EXPECT_LT(loneliest * 180 / std::numbers::pi, 24);
+}
+
 }  // namespace
 }  // namespace lightsketch
