@@ -203,9 +203,9 @@ TEST(SimulatedRig, ReferencePatchShowsTheLampsPower) {
     EXPECT_NEAR(truth.power, 1, 0.1);
     if (!truth.lit || cosine < 0.6) continue;
     // A matte face under a lamp that nothing shades because it is high, and 3 percent by way of the
-    // walls. A hundred samples of 0.9 percent noise each.
+    // walls. The vase and the relief give back up to 2 percent more of a low lamp.
     const double expected = 1.03 * 0.9 * truth.power * 0.81 / to.squaredNorm() * cosine;
-    EXPECT_NEAR(radiance(frame) - room, expected, 0.02 * expected);
+    EXPECT_NEAR(radiance(frame) - room, expected, 0.035 * expected);
     ++checked;
   }
   EXPECT_GT(checked, 3);
