@@ -203,7 +203,8 @@ Result<void> checkExposed(const Camera& camera, const std::vector<Group>& groups
 struct Darkness {
   Image<float> mean;
   std::vector<ResponseSamples::Black> black;  // per colour, counts
-  std::vector<double> variance;               // of one frame, counts^2; 0 unless there are pairs
+  std::vector<double> variance;  // of one frame, counts^2, from the first two; hot pixels aside
+  std::vector<double> pairs;     // of samples that it was measured from
   std::vector<PixelPosition> hotPixels;
 };
 
@@ -219,16 +220,13 @@ Darkness measureDarkness(const Camera& camera, std::span<const Frame> frames,
     });
   }
   std::vector<std::vector<double>> means(index(camera.colours));
-  std::vector<double> zeros(index(camera.colours)), squares(index(camera.colours)),
-      pairs(index(camera.colours));
+  std::vector<double> zeros(index(camera.colours));
   const Reader first(frames[0]);
   const Reader second(frames[n > 1 ? 1 : 0]);
   forEachSample(camera, 1, [&](int x, int y, int s, int colour) {
     const std::size_t c = index(colour);
     means[c].push_back(static_cast<double>(dark.mean(x, y, s)));
     zeros[c] += first(x, y, s) == 0;
-    squares[c] += std::pow(first(x, y, s) - second(x, y, s), 2) / 2;
-    ++pairs[c];
   });
   std::vector<double> centre, scatter;
   for (std::size_t c = 0; c < means.size(); ++c) {
@@ -246,15 +244,22 @@ Darkness measureDarkness(const Camera& camera, std::span<const Frame> frames,
     }
     // The standard error over many pixels is tiny; what limits it is the drift between frames.
     dark.black.push_back({sum / count, std::max(scatter[c] / std::sqrt(count), 0.02),
-                          zeros[c] > kClippedShare * pairs[c]});
-    dark.variance.push_back(n > 1 ? squares[c] / pairs[c] : 0);
+                          zeros[c] > kClippedShare * static_cast<double>(means[c].size())});
   }
+  dark.variance.assign(means.size(), 0);
+  dark.pairs.assign(means.size(), 0);
   forEachSample(camera, 1, [&](int x, int y, int s, int colour) {
     const std::size_t c = index(colour);
-    if (static_cast<double>(dark.mean(x, y, s)) <= centre[c] + hotPixelSigmas * scatter[c]) return;
+    if (static_cast<double>(dark.mean(x, y, s)) <= centre[c] + hotPixelSigmas * scatter[c]) {
+      if (n < 2) return;
+      dark.variance[c] += std::pow(first(x, y, s) - second(x, y, s), 2) / 2;
+      ++dark.pairs[c];
+      return;
+    }
     const PixelPosition pixel{x, y};
     if (dark.hotPixels.empty() || dark.hotPixels.back() != pixel) dark.hotPixels.push_back(pixel);
   });
+  for (std::size_t c = 0; c < means.size(); ++c) dark.variance[c] /= std::max(dark.pairs[c], 1.0);
   return dark;
 }
 
@@ -447,42 +452,56 @@ std::vector<std::vector<TransferPoint>> photonTransfer(
     const Camera& camera, const ResponseCurve& response,
     const std::vector<std::vector<Group>>& brackets, const std::vector<bool>& clipped) {
   constexpr std::size_t kBins = 48;
-  constexpr double kFewest = 200;
-  std::vector<std::vector<TransferPoint>> points(index(camera.colours));
+  constexpr double kFewest = 100;
+  struct Bin {
+    double n = 0, mean = 0, d = 0, dd = 0;
+  };
+  using Bins = std::array<Bin, kBins>;
+  std::vector<Bins> all(index(camera.colours));
   for (const auto& groups : brackets) {
     for (const Group& group : groups) {
       for (std::size_t k = 0; k + 1 < group.frames.size(); k += 2) {
         const Reader a(*group.frames[k]);
         const Reader b(*group.frames[k + 1]);
-        struct Bin {
-          double n = 0, mean = 0, d = 0, dd = 0;
-        };
-        std::vector<std::array<Bin, kBins>> bins(index(camera.colours));
+        std::vector<Bins> bins(index(camera.colours));
         forEachSample(camera, stepFor(camera, 500'000), [&](int x, int y, int s, int colour) {
           const double mean = 0.5 * (a(x, y, s) + b(x, y, s));
           const double d = a(x, y, s) - b(x, y, s);
-          auto& bin = bins[index(colour)][std::min(
+          Bin& bin = bins[index(colour)][std::min(
               static_cast<std::size_t>(std::sqrt(mean / camera.maxCount) * kBins), kBins - 1)];
           bin.n += 1;
           bin.mean += mean;
           bin.d += d;
           bin.dd += d * d;
         });
-        for (int colour = 0; colour < camera.colours; ++colour) {
-          for (const Bin& bin : bins[index(colour)]) {
-            if (bin.n < kFewest) continue;
-            const double mean = bin.mean / bin.n;
+        for (std::size_t c = 0; c < bins.size(); ++c) {
+          for (std::size_t i = 0; i < kBins; ++i) {
+            const Bin& bin = bins[c][i];
+            if (bin.n < 2) continue;
             // The light may flicker between the two: the bin's mean difference is not noise.
-            const double variance = 0.5 * (bin.dd / bin.n - std::pow(bin.d / bin.n, 2));
-            const double reach = 4 * std::sqrt(variance) + 1;
-            if (mean + reach > camera.saturation || (clipped[index(colour)] && mean < reach))
-              continue;
-            const double slope = response.slope(mean, colour);
-            points[index(colour)].push_back(
-                {response.exposure(mean, colour), (variance - 1.0 / 12) * slope * slope, bin.n});
+            all[c][i].n += bin.n - 1;
+            all[c][i].mean += bin.mean / bin.n * (bin.n - 1);
+            all[c][i].dd += bin.dd - bin.d * bin.d / bin.n;
           }
         }
       }
+    }
+  }
+  std::vector<std::vector<TransferPoint>> points(index(camera.colours));
+  for (int colour = 0; colour < camera.colours; ++colour) {
+    for (std::size_t i = 0; i < kBins; ++i) {
+      const Bin& bin = all[index(colour)][i];
+      if (bin.n < kFewest) continue;
+      const double mean = bin.mean / bin.n;
+      const double variance = 0.5 * bin.dd / bin.n;
+      // Clear of the clipping levels with the whole bin, not only with its mean.
+      const double reach = 4 * std::sqrt(variance) + 1;
+      const double upper = std::pow(static_cast<double>(i + 1) / kBins, 2) * camera.maxCount;
+      const double lower = std::pow(static_cast<double>(i) / kBins, 2) * camera.maxCount;
+      if (upper + reach > camera.saturation || (clipped[index(colour)] && lower < reach)) continue;
+      const double slope = response.slope(mean, colour);
+      points[index(colour)].push_back(
+          {response.exposure(mean, colour), (variance - 1.0 / 12) * slope * slope, bin.n});
     }
   }
   return points;
@@ -775,6 +794,23 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
   if (summary.timesEstimated) std::swap(fit, timed);
   summary.disagreeing = contradictory + (1 - contradictory) * fit.disagreeing;
   RETURN_IF_ERROR(checkStill(summary.disagreeing));
+  // A curve between a few levels only would be made of the smoothness prior.
+  constexpr std::size_t kLevels = 20;
+  std::vector<std::array<bool, kLevels>> seen(index(camera.colours), std::array<bool, kLevels>{});
+  for (const auto& r : fit.residuals) {
+    const double level = std::clamp(r.value / samples.saturation, 0.0, 1.0) * kLevels;
+    seen[index(r.colour)][std::min(static_cast<std::size_t>(level), kLevels - 1)] = true;
+  }
+  for (std::size_t c = 0; c < seen.size(); ++c) {
+    const auto levels = std::ranges::count(seen[c], true);
+    if (levels < static_cast<std::ptrdiff_t>(kLevels / 2)) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "{}: the bracket shows too few levels ({} of {} steps between dark and "
+                     "saturated); take a scene with everything from dark to bright, exposures a "
+                     "factor of 2 apart",
+                     colourNames(camera.colours)[c], levels, kLevels);
+    }
+  }
   summary.linear = true;
   for (int c = 0; c < camera.colours; ++c) {
     auto& colour = summary.colours.emplace_back();
@@ -846,9 +882,10 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
         points.push_back(
             {sensor.response.exposure(counts, c), (sigma * sigma - 1.0 / 12) * slope * slope, 100});
       }
-    } else if (dark && !clipped[index(c)] && dark->variance[index(c)] > 0) {
+    } else if (dark && !clipped[index(c)] && dark->pairs[index(c)] > 0) {
       const double slope = sensor.response.slope(black[index(c)].value, c);
-      points.push_back({0, (dark->variance[index(c)] - 1.0 / 12) * slope * slope, 1e4});
+      points.push_back(
+          {0, (dark->variance[index(c)] - 1.0 / 12) * slope * slope, dark->pairs[index(c)]});
     }
     const auto noise = fitNoise(points);
     if (noise) {

@@ -12,7 +12,7 @@ namespace lightsketch {
 
 struct LineariseOptions {
   // What is known of the camera. Without it the sensor is taken to be linear with `blackLevel`.
-  std::shared_ptr<const SensorModel> sensor;
+  std::shared_ptr<const SensorModel> sensor = nullptr;
   double blackLevel = 0;                // in counts of the frame's format; unused with `sensor`
   double referenceExposureSeconds = 0;  // radiance 1.0 is saturation at this exposure and gain;
   double referenceGainDb = 0;           // 0 seconds: the frame's own exposure and gain

@@ -20,7 +20,7 @@ using ExposureBracket = std::span<const Frame>;
 struct MergeOptions {
   // What is known of the camera. Without it the sensor is taken to be linear with `blackLevel` and
   // NoiseModel's default noise.
-  std::shared_ptr<const SensorModel> sensor;
+  std::shared_ptr<const SensorModel> sensor = nullptr;
   double blackLevel = 0;
   double referenceExposureSeconds = 0;  // radiance 1.0 is saturation at this exposure and gain;
   double referenceGainDb = 0;           // 0 seconds: those of the shortest effective exposure

@@ -128,8 +128,8 @@ TEST(ResponseCalibration, ALinearSensorIsFoundLinearWithItsBlackNoiseHotPixelsAn
     // Three predicted sigmas, which must themselves be useful.
     const ChannelNoise& noise = model.noise.channel(c);
     EXPECT_NEAR(noise.electronsAtSaturation, sensor.fullWell, 3.5 * colour.electronsSigma);
-    EXPECT_LT(colour.electronsSigma, 0.02 * sensor.fullWell);
-    EXPECT_NEAR(noise.readNoiseElectrons, sensor.readNoise, 1.5);
+    EXPECT_LT(colour.electronsSigma, 0.03 * sensor.fullWell);
+    EXPECT_NEAR(noise.readNoiseElectrons, sensor.readNoise, 0.5);
   }
   int found = 0, hot = 0;
   for (int y = 0; y < sensor.height; ++y) {
@@ -138,12 +138,14 @@ TEST(ResponseCalibration, ALinearSensorIsFoundLinearWithItsBlackNoiseHotPixelsAn
   for (const PixelPosition& pixel : model.hotPixels) found += sensor.hot(pixel.x, pixel.y);
   ASSERT_GT(hot, 10);
   EXPECT_EQ(found, hot);
-  EXPECT_LE(static_cast<int>(model.hotPixels.size()), hot + 2);  // eight sigma: next to none by chance
+  EXPECT_LE(static_cast<int>(model.hotPixels.size()),
+            hot + 2);  // eight sigma: next to none by chance
   ASSERT_TRUE(model.flatField);
   for (const auto& [x, y] : {std::pair{80, 60}, {0, 0}, {159, 119}, {40, 60}, {80, 10}}) {
     const double u = (x + 0.5) / 160, v = (y + 0.5) / 120;
-    // A node is the mean of some hundred samples of 1 % scatter, times the curvature within a cell.
-    EXPECT_NEAR(model.flatField->sensitivity(u, v, 1), sensor.sensitivity(x, y), 0.006);
+    // The picture is so small that a node rests on ten samples of 1 % scatter, in a corner on
+    // three.
+    EXPECT_NEAR(model.flatField->sensitivity(u, v, 1), sensor.sensitivity(x, y), 0.015);
   }
 }
 
@@ -219,10 +221,13 @@ TEST(ResponseCalibration, SaysWhatIsWrongWithABadBracket) {
   const Scene scene = decades(sensor);
   EXPECT_NE(complaint(bracket(sensor, scene, 0, 0, 3)).find("one exposure time only"),
             std::string::npos);
-  EXPECT_NE(
-      complaint(bracket(sensor, [](int, int, int) { return 100.0; }, -4, 4)).find("saturated"),
-      std::string::npos);
-  EXPECT_NE(complaint(bracket(sensor, [](int, int, int) { return 0.0; }, -4, 4)).find("as dark as"),
+  EXPECT_NE(complaint(bracket(
+                          sensor, [](int, int, int) { return 100.0; }, -4, 4))
+                .find("saturated"),
+            std::string::npos);
+  EXPECT_NE(complaint(bracket(
+                          sensor, [](int, int, int) { return 0.0; }, -4, 4))
+                .find("as dark as"),
             std::string::npos);
   EXPECT_NE(complaint({}).find("no bracket"), std::string::npos);
 
@@ -240,9 +245,9 @@ TEST(ResponseCalibration, SaysWhatIsWrongWithABadBracket) {
   EXPECT_NE(complaint(frames).find("keep the gain"), std::string::npos);
 
   // One flat grey: every place says the same.
-  EXPECT_NE(complaint(bracket(sensor, [](int, int, int) { return 0.3; }, 0, 5))
-                .find("too few places"),
-            std::string::npos);
+  const auto flat = bracket(
+      sensor, [](int, int, int) { return 0.3; }, 0, 5);
+  EXPECT_NE(complaint(flat).find("too few"), std::string::npos) << complaint(flat);
 }
 
 TEST(ResponseCalibration, ASceneThatMovedIsRefused) {
@@ -254,8 +259,8 @@ TEST(ResponseCalibration, ASceneThatMovedIsRefused) {
   std::vector<Frame> still, moved;
   for (int i = -4; i <= 4; ++i) {
     const auto seed = static_cast<unsigned>(i + 50);
-    still.push_back(sensor.expose([&](int x, int y, int) { return textured(x, y); },
-                                  std::pow(2.0, i), seed));
+    still.push_back(
+        sensor.expose([&](int x, int y, int) { return textured(x, y); }, std::pow(2.0, i), seed));
     moved.push_back(sensor.expose([&](int x, int y, int) { return textured(x + 4 * i, y); },
                                   std::pow(2.0, i), seed));
   }
