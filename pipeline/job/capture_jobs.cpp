@@ -4,6 +4,8 @@
 #include <thread>
 #include <utility>
 
+#include "calibration/lens/camera_formats.h"
+#include "calibration/radiometry/response_file.h"
 #include "capture/device/camera.h"
 #include "pipeline/job/jobs.h"
 #include "pipeline/job/record_on.h"
@@ -32,8 +34,13 @@ Result<RecorderSummary> recordFrom(const RecordJob& job,
     cameras.push_back(std::move(camera));
     sources.push_back({*cameras.back(), models[i]});
   }
-  return record(*scene, sources, geometry, job.sketch, job.recorder, progress, std::move(stop),
-                onState);
+  RecorderOptions options = job.recorder;
+  if (!job.sceneResponse.empty()) {
+    ASSIGN_OR_RETURN(auto sensor, loadResponse(job.sceneResponse));
+    options.sceneFormat = sensor.format;
+    options.sceneSensor = std::make_shared<const SensorModel>(std::move(sensor));
+  }
+  return record(*scene, sources, geometry, job.sketch, options, progress, std::move(stop), onState);
 }
 
 JobResult resultOf(const RecordJob& job, const RecorderSummary& summary) {
@@ -54,6 +61,7 @@ JobResult resultOf(const RecordJob& job, const RecorderSummary& summary) {
            {"offered", summary.offered},
            {"coverage", summary.coverage},
            {"seconds", summary.seconds},
+           {"timeZeroSeconds", toSeconds(summary.timeZero.time_since_epoch())},
            {"refusals", refusals},
            {"droppedByQueues", summary.droppedByQueues},
            {"scene", linkToJson(summary.scene)},
@@ -138,8 +146,8 @@ Result<JobResult> recordJob(const RecordJob& job, Progress& progress, std::stop_
   }
   std::vector<std::shared_ptr<const CameraModel>> models;
   for (const auto& path : job.cameraModels) {
-    ASSIGN_OR_RETURN(auto model, loadCameraModel(path));
-    models.push_back(std::move(model));
+    ASSIGN_OR_RETURN(auto loaded, loadAnyCameraModel(path));
+    models.push_back(std::move(loaded.model));
   }
   RigGeometry geometry;
   if (!job.rigGeometry.empty()) {

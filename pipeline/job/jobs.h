@@ -47,6 +47,7 @@ struct RecordJob {
   std::vector<std::filesystem::path> cameraModels;  // of the source cameras, in their order
   std::filesystem::path rigGeometry;  // empty: the one source camera stands upright at the subject
   std::optional<double> lampRadiusMetres;  // in place of the rig's
+  std::filesystem::path sceneResponse;     // of `calibrate response`; empty: a linear sensor
   std::filesystem::path sketch;
   RecorderOptions recorder;
   SimulatedRigOptions simulatedRig;
@@ -68,6 +69,10 @@ struct CompressJob {
   std::filesystem::path sketch;
   std::filesystem::path out;
   CompressOptions options;
+  // For lamps too near to count as far away: "flat", or an EXR of depths along the scene camera's
+  // axis in metres. Empty: far. Needs the scene camera's model and the sketch's rig.json.
+  std::string nearLight;
+  std::filesystem::path sceneModel;
 };
 Result<JobResult> compressJob(const CompressJob& job, Progress& progress);
 

@@ -1,6 +1,7 @@
 // Compress and validate.
 #include "pipeline/job/jobs.h"
 
+#include "calibration/lens/camera_formats.h"
 #include "pipeline/sketch/image_file.h"
 #include "pipeline/sketch/sketch.h"
 #include "pipeline/validate/report.h"
@@ -29,12 +30,41 @@ Result<void> requireParent(const fs::path& file) {
   return {};
 }
 
+// The subject's surface, as --near-light says it.
+Result<std::shared_ptr<const SurfacePoints>> surfaceOf(const CompressJob& job,
+                                                       const Sketch& sketch) {
+  if (job.sceneModel.empty() || !sketch.rig()) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "{}: near light needs --scene-model and a rig.json in the sketch: what the "
+                   "scene camera's pixels see",
+                   job.sketch.string());
+  }
+  ASSIGN_OR_RETURN(const auto camera, loadAnyCameraModel(job.sceneModel));
+  const Eigen::Isometry3d& pose = sketch.rig()->sceneCamera.sceneFromCamera;
+  SurfacePoints points;
+  if (job.nearLight == "flat") {
+    ASSIGN_OR_RETURN(points, flatSurface(*camera.model, pose));
+  } else {
+    ASSIGN_OR_RETURN(const RadianceImage picture, readImage(job.nearLight));
+    Image<float> depth(picture.width(), picture.height(), 1);
+    for (int y = 0; y < depth.height(); ++y) {
+      for (int x = 0; x < depth.width(); ++x) depth(x, y) = picture(x, y, 0);
+    }
+    ASSIGN_OR_RETURN(points, surfaceFromDepth(*camera.model, pose, depth));
+  }
+  return std::make_shared<const SurfacePoints>(std::move(points));
+}
+
 }  // namespace
 
 Result<JobResult> compressJob(const CompressJob& job, Progress& progress) {
   RETURN_IF_ERROR(requireParent(job.out));
   ASSIGN_OR_RETURN(const auto sketch, Sketch::open(job.sketch));
-  ASSIGN_OR_RETURN(auto compressed, compress(sketch, job.options, progress));
+  CompressOptions options = job.options;
+  if (!job.nearLight.empty()) {
+    ASSIGN_OR_RETURN(options.surface, surfaceOf(job, sketch));
+  }
+  ASSIGN_OR_RETURN(auto compressed, compress(sketch, options, progress));
   RETURN_IF_ERROR(saveModel(compressed.model, job.out));
   std::error_code error;
   const auto bytes = fs::file_size(job.out, error);

@@ -16,7 +16,8 @@
 
 #include "capture/frame/json.h"
 #include "pipeline/job/jobs.h"
-#include "ui/cli/progress_bar.h"
+#include "ui/cli/calibrate_commands.h"
+#include "ui/cli/command.h"
 
 namespace lightsketch {
 namespace {
@@ -43,19 +44,6 @@ class InterruptWatch {
   std::stop_source source_;
   std::jthread watcher_;
 };
-
-// What every command has.
-struct Common {
-  std::string jsonFile;
-  bool quiet = false;
-};
-
-using Action = std::function<Result<JobResult>(ProgressBar&, std::stop_token)>;
-
-void addCommon(CLI::App& command, Common& common) {
-  command.add_option("--json", common.jsonFile, "write the figures to this file as JSON");
-  command.add_flag("--quiet", common.quiet, "no progress bar");
-}
 
 // --- Options that are more than a number ------------------------------------------------------
 
@@ -151,6 +139,7 @@ struct Commands {
   explicit Commands(CLI::App& app) {
     addCameras(app);
     addRig(app);
+    calibrate_.emplace(app, common, action);
     addRecord(app);
     addImport(app);
     addExport(app);
@@ -167,10 +156,7 @@ struct Commands {
  private:
   CLI::App* add(CLI::App& app, const std::string& name, const std::string& description,
                 const std::string& example) {
-    CLI::App* command = app.add_subcommand(name, description);
-    command->footer("Example:\n  " + example);
-    addCommon(*command, common);
-    return command;
+    return addCommand(app, name, description, example, common);
   }
 
   void addCameras(CLI::App& app) {
@@ -189,6 +175,19 @@ struct Commands {
     command->add_option("--rate", rig_.rig.framesPerSecond, "frames a second")
         ->check(CLI::Range(1.0, 120.0))
         ->capture_default_str();
+    command->add_option_function<std::string>(
+        "--program",
+        [this](const std::string& name) {
+          const auto program = rigProgramFromName(name);
+          if (!program) {
+            throw CLI::ValidationError(
+                "expected lamp, board, ball, diffuser, dark or still, not '" + name + "'");
+          }
+          rig_.rig.program = *program;
+        },
+        "what happens before the cameras: lamp (default), board, ball, diffuser, dark or still");
+    command->add_option("--second-source", rig_.rig.secondSource,
+                        "address of a second source camera, such as 127.0.0.13");
     command->add_option("--calibration", rig_.calibrationFolder,
                         "write source.json and rig.json, as a calibration would, to this folder");
     command->callback([this] {
@@ -258,6 +257,19 @@ struct Commands {
                      "at the start, with the lamp off: take the ambient frame")
         ->check(CLI::NonNegativeNumber)
         ->capture_default_str();
+    command->add_option("--response", record_.sceneResponse,
+                        "response file of the scene camera (calibrate response); its pixel format "
+                        "is used");
+    command->add_flag_callback(
+        "--bracket",
+        [this] {
+          record_.recorder.bracket = {1.0 / 16, 1.0 / 4, 1, 3};
+        },
+        "four exposures a direction, 1/16 to 3 times --exposure, merged; hold the lamp still for "
+        "each");
+    command->add_flag("--poses-unknown", recorder.posesUnknown,
+                      "the source cameras' poses are still to be found: for `calibrate pose` with "
+                      "a mirror ball");
     command->add_flag("--keep-raw", recorder.keepRaw,
                       "keep the sensor's own counts beside each frame (frames/000123.raw.png)");
     command->add_flag("!--keep-ambient", recorder.subtractAmbient,
@@ -329,6 +341,12 @@ struct Commands {
     command->add_option("--hold-out", compress_.options.holdOutRule,
                         "frames kept back to measure with: every:8:4, cells:8:4 or list:FILE");
     addCompressOptions(*command, compress_.options);
+    command->add_option("--near-light", compress_.nearLight,
+                        "the lamp was near: 'flat' for a flat subject, or an EXR of depths along "
+                        "the scene camera's axis in metres; every block then has its own light "
+                        "directions and every pixel its own distance");
+    command->add_option("--scene-model", compress_.sceneModel,
+                        "camera file of the scene camera, for --near-light");
     command->callback([this] {
       action = [this](ProgressBar& bar, const std::stop_token&) {
         return compressJob(compress_, bar);
@@ -431,6 +449,7 @@ struct Commands {
   ValidateJob validate_;
   std::filesystem::path info_;
   DemoJob demo_;
+  std::optional<CalibrateCommands> calibrate_;
 };
 
 int fail(const std::string& message) {
