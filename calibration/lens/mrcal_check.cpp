@@ -40,9 +40,19 @@ Result<MrcalCheck> checkWithMrcal(const LensCalibration& calibration, const Boar
   RETURN_IF_ERROR(options.validate());
   const FisheyeModel& model = *calibration.model;
   const auto start = std::chrono::steady_clock::now();
+  // Knots only where there are corners: others would be held by regularisation alone.
+  Angle farthest;
+  for (const ViewResult& view : calibration.views) {
+    for (const CornerResidual& corner : view.corners) {
+      if (view.rejected.empty() && corner.rejected.empty()) {
+        farthest = std::max(farthest, corner.fieldAngle);
+      }
+    }
+  }
+  const Angle field = std::min(model.maxFieldAngle(), farthest + Angle::degrees(3));
   ASSIGN_OR_RETURN(SplinedLens lens,
                    fitSpline([&](const Vector3d& v) { return model.project(v); }, model.width(),
-                             model.height(), model.maxFieldAngle(), options.knots));
+                             model.height(), field, options.knots));
 
   // mrcal wants whole boards; a corner of negative weight is none.
   std::vector<mrcal_observation_board_t> observations;
