@@ -66,12 +66,11 @@ Result<LinearFrame> linearise(const Frame& frame, const LineariseOptions& option
   result.saturatedFraction = static_cast<double>(countSaturated(frame, top)) /
                              (static_cast<double>(frame.width) * frame.height);
   SamplePlane plane(frame.format, frame.width, frame.height);
-  const CountConverter converter(sensor);
+  const CountConverter converter(sensor, scale);
   for (int y = 0; y < frame.height; ++y) {
     const std::span<float> row = plane.row(y);
     readCounts(frame, y, row);
     converter.toExposure(y, row);
-    for (float& sample : row) sample *= static_cast<float>(scale);
   }
   if (sensor.flatField) plane.flatten(*sensor.flatField);
   plane.fill(sensor.hotPixels);

@@ -67,50 +67,47 @@ Result<SensorModel> uncalibratedSensor(const Frame& frame, double blackLevel) {
   return sensor;
 }
 
-CountConverter::CountConverter(const SensorModel& sensor)
-    : sensor_(sensor), info_(pixelFormatInfo(sensor.format)) {
+CountConverter::CountConverter(const SensorModel& sensor, double scale) : sensor_(sensor) {
+  const PixelFormatInfo& info = pixelFormatInfo(sensor.format);
   const ResponseCurve& response = sensor.response;
-  for (int colour = 0; colour < response.colours(); ++colour) {
-    black_.push_back(static_cast<float>(response.blackCount(colour)));
-    slope_.push_back(static_cast<float>(response.slope(0, colour)));
-    if (response.isLinear()) continue;
-    std::vector<float> table;
-    for (int count = 0; count < 1 << info_.bits; ++count) {
-      table.push_back(static_cast<float>(response.exposure(count, colour)));
+  // Rows of a mosaic alternate; what belongs to each sample of a row is laid out beside it.
+  for (int parity = 0; parity < (info.isBayer ? 2 : 1); ++parity) {
+    Row row;
+    for (int i = 0; i < sensor.width * info.channels; ++i) {
+      const int colour = sampleColour(info, i, parity, i % info.channels);
+      row.colour.push_back(static_cast<std::uint8_t>(colour));
+      row.black.push_back(static_cast<float>(response.blackCount(colour)));
+      row.slope.push_back(static_cast<float>(response.slope(0, colour) * scale));
     }
-    table_.push_back(std::move(table));
+    rows_.push_back(std::move(row));
+  }
+  if (response.isLinear()) return;
+  for (int colour = 0; colour < response.colours(); ++colour) {
+    std::vector<float> table;
+    for (int count = 0; count < 1 << info.bits; ++count) {
+      table.push_back(static_cast<float>(response.exposure(count, colour) * scale));
+    }
+    tables_.push_back(std::move(table));
   }
 }
 
 void CountConverter::toExposure(int y, std::span<float> samples) const {
+  const Row& row = rows_[index(y) % rows_.size()];
   const Image<float>& dark = sensor_.darkCounts;
-  // Colours along the row repeat with this period; Bayer rows alternate between two.
-  const std::size_t period = info_.isBayer ? 2 : index(info_.channels);
-  for (std::size_t phase = 0; phase < period; ++phase) {
-    const std::size_t colour = info_.isBayer ? phase + index(y & 1) : phase;
-    const float black = black_[colour];
-    const float* const darkRow = dark.empty() ? nullptr : dark.row(y).data();
-    if (table_.empty()) {
-      const float slope = slope_[colour];
-      if (darkRow) {
-        for (std::size_t i = phase; i < samples.size(); i += period) {
-          samples[i] = (samples[i] - darkRow[i]) * slope;
-        }
-      } else {
-        for (std::size_t i = phase; i < samples.size(); i += period) {
-          samples[i] = (samples[i] - black) * slope;
-        }
-      }
-      continue;
-    }
-    const std::vector<float>& table = table_[colour];
-    const float last = static_cast<float>(table.size() - 2);
-    for (std::size_t i = phase; i < samples.size(); i += period) {
-      const float count = darkRow ? samples[i] - darkRow[i] + black : samples[i];
-      const float base = std::clamp(std::floor(count), 0.0f, last);
-      const auto at = static_cast<std::size_t>(base);
-      samples[i] = table[at] + (count - base) * (table[at + 1] - table[at]);
-    }
+  const float* const black = dark.empty() ? row.black.data() : dark.row(y).data();
+  if (tables_.empty()) {
+    const float* const slope = row.slope.data();
+    for (std::size_t i = 0; i < samples.size(); ++i)
+      samples[i] = (samples[i] - black[i]) * slope[i];
+    return;
+  }
+  const float last = static_cast<float>(tables_[0].size() - 2);
+  for (std::size_t i = 0; i < samples.size(); ++i) {
+    const std::vector<float>& table = tables_[row.colour[i]];
+    const float count = samples[i] - black[i] + row.black[i];
+    const float base = std::clamp(std::floor(count), 0.0f, last);
+    const auto at = static_cast<std::size_t>(base);
+    samples[i] = table[at] + (count - base) * (table[at + 1] - table[at]);
   }
 }
 

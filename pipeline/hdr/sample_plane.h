@@ -1,6 +1,7 @@
 // A picture between counts and colour: one float per sample of the sensor.
 #pragma once
 
+#include <cstdint>
 #include <span>
 #include <vector>
 
@@ -41,16 +42,20 @@ class SamplePlane {
 // Counts to exposures, a row at a time: dark frame or black level, then the response.
 class CountConverter {
  public:
-  explicit CountConverter(const SensorModel& sensor);  // which must outlive it
+  // The exposures come multiplied by `scale`. `sensor` must outlive this.
+  explicit CountConverter(const SensorModel& sensor, double scale = 1);
   // In place; row y of the picture.
   void toExposure(int y, std::span<float> samples) const;
 
  private:
+  struct Row {  // per sample of a row
+    std::vector<std::uint8_t> colour;
+    std::vector<float> black;  // counts
+    std::vector<float> slope;  // of a linear response
+  };
   const SensorModel& sensor_;
-  const PixelFormatInfo& info_;
-  std::vector<float> slope_;               // per colour, of a linear response
-  std::vector<float> black_;               // per colour
-  std::vector<std::vector<float>> table_;  // per colour and count, of any other
+  std::vector<Row> rows_;                   // two of a mosaic, otherwise one
+  std::vector<std::vector<float>> tables_;  // per colour and count, where not linear
 };
 
 // A sensor taken to be linear with one black level, for a frame that nobody has calibrated for.
