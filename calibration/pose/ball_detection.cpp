@@ -23,12 +23,15 @@ using Eigen::Vector3d;
 constexpr int kAzimuths = 180;
 constexpr double kCoverageWithHint = 0.4;
 constexpr double kCoverageAlone = 0.6;
-constexpr double kEdge = 0.008;  // least slope of an edge, encoded units per pixel
+constexpr double kEdge = 0.008;          // least slope of an edge, encoded units per pixel
+constexpr float kLeastHighlight = 0.1f;  // of saturation: a mirror shows the lamp itself
+constexpr double kFineEdge = 0.0015;     // the same in linear units, once the place is known
 // What no average over the outline takes out: blooming, a lens's blur, the ball's own shade.
 constexpr double kOutlineBiasPixels = 0.05;
 
-// Encoded, so that a lamp's glare does not hide a dim outline.
-Image<float> encodedLuminance(const RadianceImage& image) {
+// Encoded, a lamp's glare does not hide a dim outline; linear, the middle of an edge's slope is
+// where the edge is (encoded, 0.1 pixels off).
+Image<float> luminanceOf(const RadianceImage& image, bool encoded) {
   Image<float> result(image.width(), image.height(), 1);
   for (int y = 0; y < image.height(); ++y) {
     const auto from = image.row(y);
@@ -36,7 +39,8 @@ Image<float> encodedLuminance(const RadianceImage& image) {
     for (std::size_t x = 0; x < to.size(); ++x) {
       const float light = kRec709Luma[0] * from[3 * x] + kRec709Luma[1] * from[3 * x + 1] +
                           kRec709Luma[2] * from[3 * x + 2];
-      to[x] = srgbEncode(std::clamp(light, 0.0f, 1.0f));
+      const float clipped = std::clamp(light, 0.0f, 1.0f);
+      to[x] = encoded ? srgbEncode(clipped) : clipped;
     }
   }
   return result;
@@ -77,8 +81,8 @@ struct Edge {
 
 // Local maxima of the slope's size along [from, to], each to a fraction of a step.
 std::vector<std::pair<double, double>> edgesAlong(const Image<float>& image, const Vector2d& start,
-                                                  const Vector2d& direction, double from,
-                                                  double to) {
+                                                  const Vector2d& direction, double from, double to,
+                                                  double least) {
   constexpr double kStep = 0.5;
   std::vector<double> slopes;
   for (double t = from; t <= to; t += kStep) {
@@ -86,7 +90,7 @@ std::vector<std::pair<double, double>> edgesAlong(const Image<float>& image, con
   }
   std::vector<std::pair<double, double>> edges;  // strength, place
   for (std::size_t i = 1; i + 1 < slopes.size(); ++i) {
-    if (slopes[i] < kEdge || slopes[i] < slopes[i - 1] || slopes[i] <= slopes[i + 1]) continue;
+    if (slopes[i] < least || slopes[i] < slopes[i - 1] || slopes[i] <= slopes[i + 1]) continue;
     const double curve = slopes[i - 1] - 2 * slopes[i] + slopes[i + 1];
     const double shift = curve < 0 ? 0.5 * (slopes[i - 1] - slopes[i + 1]) / curve : 0;
     edges.emplace_back(slopes[i], from + kStep * (static_cast<double>(i) + shift));
@@ -111,8 +115,8 @@ struct Outline {
   double coverage = 0;
 };
 
-std::optional<Outline> outlineNear(const Image<float>& image, const BallHint& hint,
-                                   const Curve& curve) {
+std::optional<Outline> outlineNear(const Image<float>& encoded, const Image<float>& image,
+                                   const BallHint& hint, const Curve& curve) {
   const double r = hint.radiusPixels;
   std::vector<Edge> edges;
   for (int a = 0; a < kAzimuths; ++a) {
@@ -120,7 +124,7 @@ std::optional<Outline> outlineNear(const Image<float>& image, const BallHint& hi
     const Vector2d direction(std::cos(phi), std::sin(phi));
     int taken = 0;
     for (const auto& [strength, place] :
-         edgesAlong(image, hint.centre, direction, 0.6 * r, 1.4 * r)) {
+         edgesAlong(encoded, hint.centre, direction, 0.6 * r, 1.4 * r, kEdge)) {
       const Vector2d pixel = hint.centre + place * direction;
       const bool inside = pixel.x() > 1 && pixel.y() > 1 && pixel.x() < image.width() - 1 &&
                           pixel.y() < image.height() - 1;
@@ -173,7 +177,8 @@ std::optional<Outline> outlineNear(const Image<float>& image, const BallHint& hi
             place->first.y() < image.height() - 1)) {
         continue;
       }
-      const auto found = edgesAlong(image, place->first, place->second, -reach - 0.5, reach + 0.5);
+      const auto found =
+          edgesAlong(image, place->first, place->second, -reach - 0.5, reach + 0.5, kFineEdge);
       if (!found.empty())
         outline.edges.push_back(place->first + found.front().second * place->second);
     }
@@ -340,13 +345,14 @@ Result<Outline> findOutline(const RadianceImage& image, const std::optional<Ball
   if (image.channels() != 3 || image.width() < 8 || image.height() < 8) {
     return failure(ErrorCode::kInvalidArgument, "mirror ball: needs an RGB picture");
   }
-  const Image<float> encoded = encodedLuminance(image);
+  const Image<float> encoded = luminanceOf(image, true);
+  const Image<float> linear = luminanceOf(image, false);
   if (hint) {
     if (!(hint->radiusPixels >= 3) || !hint->centre.allFinite()) {
       return failure(ErrorCode::kInvalidArgument,
                      "mirror ball: the hint must be a centre and a radius of 3 pixels or more");
     }
-    auto outline = outlineNear(encoded, *hint, curve);
+    auto outline = outlineNear(encoded, linear, *hint, curve);
     if (!outline || outline->coverage < kCoverageWithHint) {
       return failure(ErrorCode::kNotFound,
                      "mirror ball: not found near ({:.0f}, {:.0f}) with a radius of {:.0f}: {:.0f} "
@@ -365,7 +371,7 @@ Result<Outline> findOutline(const RadianceImage& image, const std::optional<Ball
     return std::pair(Vector2d((a->first + b->first) / 2), (a->first - b->first).norm() / 2);
   };
   for (const auto& candidate : roundThings(encoded)) {
-    auto outline = outlineNear(encoded, candidate, curve);
+    auto outline = outlineNear(encoded, linear, candidate, curve);
     if (!outline || outline->coverage < kCoverageAlone) continue;
     if (!best) {
       best = std::move(outline);
@@ -495,7 +501,7 @@ Result<Highlight> findHighlight(const RadianceImage& image, const RadianceImage&
       sum += value;
     }
   }
-  if (!(peak > 0.02f) || peak < 4 * sum / std::max(area, 1.0)) {
+  if (!(peak > kLeastHighlight) || peak < 4 * sum / std::max(area, 1.0)) {
     return failure(ErrorCode::kNotFound, "no highlight stands out on the ball");
   }
 
@@ -504,7 +510,14 @@ Result<Highlight> findHighlight(const RadianceImage& image, const RadianceImage&
     double weight = 0;
     Vector2d centre = Vector2d::Zero();
     Eigen::Matrix2d moments = Eigen::Matrix2d::Zero();
-    int pixels = 0;
+    int pixels = 0;  // of the core
+
+    void add(int x, int y, double w) {
+      const Vector2d p(x + 0.5, y + 0.5);
+      weight += w;
+      centre += w * p;
+      moments += w * p * p.transpose();
+    }
   };
   std::vector<Spot> spots;
   const float threshold = 0.5f * peak;
@@ -519,22 +532,19 @@ Result<Highlight> findHighlight(const RadianceImage& image, const RadianceImage&
       while (!stack.empty()) {
         const auto [x, y] = stack.back();
         stack.pop_back();
-        const double w = excess(x, y) - threshold;
-        const Vector2d p(x + 0.5, y + 0.5);
-        spot.weight += w;
-        spot.centre += w * p;
-        spot.moments += w * p * p.transpose();
+        spot.add(x, y, excess(x, y));
         ++spot.pixels;
         for (int dy = -1; dy <= 1; ++dy) {
           for (int dx = -1; dx <= 1; ++dx) {
             const int nx = x + dx;
             const int ny = y + dy;
-            if (nx < 0 || ny < 0 || nx >= width || ny >= height || done(nx, ny) ||
-                excess(nx, ny) <= threshold) {
-              continue;
-            }
+            if (nx < 0 || ny < 0 || nx >= width || ny >= height || done(nx, ny)) continue;
             done(nx, ny) = 1;
-            stack.emplace_back(nx, ny);
+            if (excess(nx, ny) > threshold) {
+              stack.emplace_back(nx, ny);
+            } else {
+              spot.add(nx, ny, excess(nx, ny));  // its flank carries the fraction of a pixel
+            }
           }
         }
       }
@@ -559,7 +569,10 @@ Result<Highlight> findHighlight(const RadianceImage& image, const RadianceImage&
   spot.moments = spot.moments / spot.weight - spot.centre * spot.centre.transpose();
   Highlight highlight;
   highlight.place.pixel = spot.centre;
-  highlight.place.covariance = spot.moments / 400 + 0.0025 * Eigen::Matrix2d::Identity();
+  // A clipped spot tells little more than which n pixels it covers: 0.25 pixels for one, falling
+  // with n^(3/4), the law of digital discs.
+  highlight.place.covariance = spot.moments / 2500 + (0.0005 + 0.06 / std::pow(spot.pixels, 1.5)) *
+                                                         Eigen::Matrix2d::Identity();
   highlight.areaPixels = spot.pixels;
   highlight.peak = peak;
   return highlight;

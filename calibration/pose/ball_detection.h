@@ -40,10 +40,10 @@ struct Highlight {
 };
 
 // The brightest compact spot on the ball above `ambient` (empty: nothing to subtract): centroid of
-// what exceeds half of its peak. Its covariance: a twentieth of the spot's own extent, since a
-// lamp's image is neither round nor evenly clipped, and 0.05 pixels. Fails where nothing stands
-// out, where the spot is no spot, and where a second one half as strong makes it doubtful which is
-// the lamp's.
+// what exceeds half of its peak and its neighbours. Its covariance: a fiftieth of the spot's own
+// extent, since a lamp's image is neither round nor evenly clipped, and what clipping leaves of the
+// place of a small spot. Fails where nothing stands out, where the spot is no spot, and where a
+// second one half as strong makes it doubtful which is the lamp's.
 Result<Highlight> findHighlight(const RadianceImage& image, const RadianceImage& ambient,
                                 const Image<std::uint8_t>& mask);
 

@@ -103,7 +103,8 @@ inline double degreesBetween(const Eigen::Vector3d& a, const Eigen::Vector3d& b)
 }
 
 // A picture of the ball before a wall with stripes, mirroring a dim room with a ceiling light, and
-// the lamp, a glowing ball of 12 mm, if there is one.
+// the lamp if there is one: smaller than a pixel in the ball, so its spot is put where Fermat says
+// (rays through ninths of a pixel would miss it).
 class BallPicture {
  public:
   BallPicture(std::shared_ptr<const CameraModel> model, const CameraPose& pose,
@@ -118,22 +119,40 @@ class BallPicture {
     }
   }
 
-  // `noise`: one sigma, of radiance; values clip at 1 as a sensor does.
+  // `noise`: one sigma, of radiance. The lens blurs by 0.7 pixels, the spot by 0.8; values clip at
+  // 1 as a sensor's.
   RadianceImage render(const Eigen::Vector3d* lamp, double noise = 0, unsigned seed = 1,
                        bool ceilingLight = true) const {
-    std::mt19937 random(seed);
-    std::normal_distribution<double> normal(0, noise);
-    RadianceImage image(model_->width(), model_->height(), 3);
-    for (int y = 0; y < image.height(); ++y) {
-      for (int x = 0; x < image.width(); ++x) {
+    const int width = model_->width();
+    const int height = model_->height();
+    Image<float> sharp(width, height, 1);
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
         double sum = 0;
         for (int i = 0; i < 9; ++i) {
-          const std::size_t index = static_cast<std::size_t>(3 * y + i / 3) * 3 *
-                                        static_cast<std::size_t>(image.width()) +
-                                    static_cast<std::size_t>(3 * x + i % 3);
-          sum += std::min(radiance(rays_[index], lamp, ceilingLight), 30.0);
+          const std::size_t index =
+              static_cast<std::size_t>(3 * y + i / 3) * 3 * static_cast<std::size_t>(width) +
+              static_cast<std::size_t>(3 * x + i % 3);
+          sum += radiance(rays_[index], ceilingLight);
         }
-        const double value = sum / 9 + (noise > 0 ? normal(random) : 0.0);
+        sharp(x, y) = static_cast<float>(sum / 9);
+      }
+    }
+    const Image<float> blurred = blur(blur(sharp, 1, 0), 0, 1);
+    Eigen::Vector2d spot = Eigen::Vector2d::Zero();
+    if (lamp) {
+      const Eigen::Vector3d point =
+          fermatPoint(pose_.sceneFromCamera.translation(), *lamp, centre_, radius_);
+      spot = model_->projectPoint(pose_.sceneFromCamera.inverse() * point).value();
+    }
+    std::mt19937 random(seed);
+    std::normal_distribution<double> normal(0, noise);
+    RadianceImage image(width, height, 3);
+    for (int y = 0; y < height; ++y) {
+      for (int x = 0; x < width; ++x) {
+        const double r2 = (Eigen::Vector2d(x + 0.5, y + 0.5) - spot).squaredNorm();
+        const double value = blurred(x, y) + (lamp ? 10 * std::exp(-r2 / (2 * 0.8 * 0.8)) : 0.0) +
+                             (noise > 0 ? normal(random) : 0.0);
         for (int c = 0; c < 3; ++c)
           image(x, y, c) = static_cast<float>(std::clamp(value, 0.0, 1.0));
       }
@@ -142,7 +161,26 @@ class BallPicture {
   }
 
  private:
-  double radiance(const Eigen::Vector3d& ray, const Eigen::Vector3d* lamp, bool ceiling) const {
+  static Image<float> blur(const Image<float>& image, int dx, int dy) {
+    Image<float> result(image.width(), image.height(), 1);
+    for (int y = 0; y < image.height(); ++y) {
+      for (int x = 0; x < image.width(); ++x) {
+        double sum = 0;
+        double weight = 0;
+        for (int k = -3; k <= 3; ++k) {
+          const int nx = std::clamp(x + k * dx, 0, image.width() - 1);
+          const int ny = std::clamp(y + k * dy, 0, image.height() - 1);
+          const double w = std::exp(-k * k / (2 * 0.7 * 0.7));
+          sum += w * image(nx, ny);
+          weight += w;
+        }
+        result(x, y) = static_cast<float>(sum / weight);
+      }
+    }
+    return result;
+  }
+
+  double radiance(const Eigen::Vector3d& ray, bool ceiling) const {
     const Eigen::Vector3d eye = pose_.sceneFromCamera.translation();
     const Eigen::Vector3d to = centre_ - eye;
     const double along = to.dot(ray);
@@ -155,11 +193,6 @@ class BallPicture {
     const Eigen::Vector3d point = eye + (along - std::sqrt(inside)) * ray;
     const Eigen::Vector3d n = (point - centre_) / radius_;
     const Eigen::Vector3d out = ray - 2 * ray.dot(n) * n;
-    if (lamp) {
-      const Eigen::Vector3d l = *lamp - point;
-      const double s = l.dot(out);
-      if (s > 0 && (l - s * out).norm() < 0.012) return 300;
-    }
     if (ceiling && out.dot(Eigen::Vector3d(0.3, 0.9, 0.3).normalized()) > 0.998) return 20;
     return 0.05 + 0.03 * out.y() + 0.02 * std::sin(7 * out.x());
   }
