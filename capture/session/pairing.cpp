@@ -122,11 +122,13 @@ tl::expected<PairedLamp, PairingFailure> ObservationHistory::at(TimePoint time,
   const double tremor =
       std::min(kTremorRadians,
                kTremorRadiansPerSecond * std::min(paired.secondsToBefore, paired.secondsToAfter));
-  lamp.directionCovariance =
-      tangent *
-      ((1 - f) * a.directionCovariance + f * b.directionCovariance + along * along.transpose() +
-       bent * bent.transpose() + tremor * tremor * Matrix3d::Identity()) *
-      tangent;
+  paired.interpolationCovariance =
+      tangent * (bent * bent.transpose() + tremor * tremor * Matrix3d::Identity()) * tangent;
+  lamp.directionCovariance = tangent *
+                                 ((1 - f) * a.directionCovariance + f * b.directionCovariance +
+                                  along * along.transpose()) *
+                                 tangent +
+                             paired.interpolationCovariance;
   lamp.covariance += alongPixel * alongPixel.transpose();
   return paired;
 }

@@ -23,6 +23,8 @@ struct PairedLamp {
   double secondsToBefore = 0;  // from the source frame before to the scene frame
   double secondsToAfter = 0;
   double radiansPerSecond = 0;  // the lamp's speed at the source camera
+  // The part of lamp.directionCovariance that interpolating adds, which lamp.covariance lacks.
+  Eigen::Matrix3d interpolationCovariance = Eigen::Matrix3d::Zero();
 };
 
 enum class PairingFailure { kUnpaired, kLampNotSeen };

@@ -163,11 +163,13 @@ struct SourceStream {
       : camera(source.camera),
         name(cameraPose.camera.empty() ? source.camera.info().address : cameraPose.camera),
         calibrationId(checksum(cameraModelToJson(*source.model).dump())),
+        model(source.model),
         tracker(source.model, trackerOptions(cameraPose, rig, options)) {}
 
   Camera& camera;
   const std::string name;
   const std::string calibrationId;
+  const std::shared_ptr<const CameraModel> model;
   LampTracker tracker;  // its thread's
   BoundedQueue<Frame> queue{kFrameQueue};
   ObservationHistory history;
@@ -509,9 +511,20 @@ Result<Refusal> Recording::judge(const Frame& frame) {
 
   FrameRecord record;
   record.light = light;
-  for (const SeenLamp& seen : lit->seen) {
+  for (std::size_t i = 0; i < lit->seen.size(); ++i) {
+    const SeenLamp& seen = lit->seen[i];
     const SourceStream& source = *sources_[seen.camera];
-    record.lampPixels.push_back({source.name, seen.lamp.pixel, seen.lamp.covariance});
+    // So that a later calibration finds all but the lens's own error in the pixel.
+    const Vector3d& d = seen.lamp.directionInSource;
+    Eigen::Matrix<double, 3, 2> tangent;  // pixelsPerRadian's own axes
+    tangent.col(0) = d.unitOrthogonal();
+    tangent.col(1) = d.cross(tangent.col(0));
+    const Eigen::Matrix<double, 2, 3> scale =
+        source.model->pixelsPerRadian(d) * tangent.transpose();
+    record.lampPixels.push_back(
+        {source.name, seen.lamp.pixel,
+         seen.lamp.covariance +
+             scale * lit->paired[i].interpolationCovariance * scale.transpose()});
     record.calibrationId += (record.calibrationId.empty() ? "" : "+") + source.calibrationId;
   }
   if (light.position)

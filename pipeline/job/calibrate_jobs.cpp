@@ -4,6 +4,7 @@
 #include <cmath>
 #include <map>
 #include <memory>
+#include <tuple>
 #include <utility>
 
 #include "calibration/lens/board_detection.h"
@@ -30,10 +31,17 @@ std::string line(std::string_view what, const std::string& value) {
 
 // Views of a board and the size of the pictures.
 struct Views {
-  std::vector<BoardView> views;
-  std::vector<std::pair<std::string, std::string>> without;  // picture and why it shows no board
+  std::vector<BoardDetection> pictures;
   int width = 0;
   int height = 0;
+
+  std::vector<BoardView> views() const {
+    std::vector<BoardView> found;
+    for (const BoardDetection& picture : pictures) {
+      if (!picture.view.corners.empty()) found.push_back(picture.view);
+    }
+    return found;
+  }
 };
 
 Result<std::vector<fs::path>> filesIn(std::span<const fs::path> given) {
@@ -50,19 +58,6 @@ Result<std::vector<fs::path>> filesIn(std::span<const fs::path> given) {
   return files;
 }
 
-Views viewsOf(const BoardSearch& search) {
-  Views result;
-  result.views = search.views();
-  result.width = search.width;
-  result.height = search.height;
-  for (const BoardDetection& picture : search.pictures) {
-    if (picture.view.corners.empty()) {
-      result.without.emplace_back(picture.view.name, picture.reason);
-    }
-  }
-  return result;
-}
-
 Result<Views> viewsInSketch(const fs::path& folder, const BoardGeometry& board,
                             Progress& progress) {
   ASSIGN_OR_RETURN(const auto sketch, Sketch::open(folder));
@@ -76,18 +71,16 @@ Result<Views> viewsInSketch(const fs::path& folder, const BoardGeometry& board,
     ASSIGN_OR_RETURN(const auto image, sketch.readFrame(ids[i]));
     ASSIGN_OR_RETURN(auto found, detectBoard(image, board));
     found.view.name = sketch.frames()[static_cast<std::size_t>(ids[i])].file;
-    if (found.view.corners.empty())
-      result.without.emplace_back(found.view.name, found.reason);
-    else
-      result.views.push_back(std::move(found.view));
+    result.pictures.push_back(std::move(found));
   }
   return result;
 }
 
-std::vector<BoardView> viewsOfCamera(const LiveViews& live, std::size_t camera) {
-  std::vector<BoardView> views;
+Views viewsOfCamera(const LiveViews& live, std::size_t camera) {
+  Views views;
+  std::tie(views.width, views.height) = live.sizes[camera];
   for (const BoardSighting& sighting : live.sightings) {
-    if (sighting.views[camera]) views.push_back(*sighting.views[camera]);
+    if (sighting.views[camera]) views.pictures.push_back({*sighting.views[camera], {}});
   }
   return views;
 }
@@ -127,7 +120,13 @@ std::pair<Angle, Angle> coveredField(const FisheyeModel& model) {
   return {*low, *high};
 }
 
-JobResult describeLens(const LensCalibration& lens, const Views& views, const fs::path& out) {
+JobResult describeLens(const LensCalibration& lens, const Views& views) {
+  Json without = Json::array();
+  for (const BoardDetection& picture : views.pictures) {
+    if (!picture.view.corners.empty()) continue;
+    without.push_back({{"picture", picture.view.name}, {"reason", picture.reason}});
+  }
+  const std::size_t found = views.pictures.size() - without.size();
   const auto [narrow, wide] = coveredField(*lens.model);
   const int thrownOut = static_cast<int>(std::count_if(
       lens.views.begin(), lens.views.end(), [](const auto& v) { return !v.rejected.empty(); }));
@@ -135,16 +134,15 @@ JobResult describeLens(const LensCalibration& lens, const Views& views, const fs
   for (const ViewResult& view : lens.views) {
     for (const CornerResidual& corner : view.corners) rejected += corner.rejected.empty() ? 0 : 1;
   }
-  std::string text = line("camera file", out.string());
-  text += line("model",
-               fmt::format("{}, f = {:.2f} x {:.2f} px, centre ({:.2f}, {:.2f})",
+  std::string text = line(
+      "model", fmt::format("{}, f = {:.2f} x {:.2f} px, centre ({:.2f}, {:.2f})",
                            describe(lens.family), lens.model->values().fx, lens.model->values().fy,
                            lens.model->values().cx, lens.model->values().cy));
   text +=
       line("boards", fmt::format("{} of {} pictures; {} views and {} corners used, {} views and {} "
                                  "corners thrown out",
-                                 views.views.size(), views.views.size() + views.without.size(),
-                                 lens.viewsUsed, lens.cornersUsed, thrownOut, rejected));
+                                 found, views.pictures.size(), lens.viewsUsed, lens.cornersUsed,
+                                 thrownOut, rejected));
   text += line("covered field", fmt::format("{:.1f} to {:.1f} degrees off axis, by azimuth",
                                             narrow.degrees(), wide.degrees()));
   if (lens.splitHalf.splits > 0) {
@@ -157,10 +155,6 @@ JobResult describeLens(const LensCalibration& lens, const Views& views, const fs
                                        lens.residualPixels));
   for (const std::string& warning : lens.warnings) text += line("warning", warning);
   for (const std::string& advice : lens.advice) text += line("next", advice);
-  Json without = Json::array();
-  for (const auto& [name, reason] : views.without) {
-    without.push_back({{"picture", name}, {"reason", reason}});
-  }
   Json trials = Json::array();
   for (const FamilyTrial& trial : lens.trials) {
     trials.push_back({{"family", describe(trial.family)},
@@ -170,7 +164,7 @@ JobResult describeLens(const LensCalibration& lens, const Views& views, const fs
   }
   return {text,
           {{"family", describe(lens.family)},
-           {"picturesWithBoard", views.views.size()},
+           {"picturesWithBoard", found},
            {"picturesWithout", without},
            {"viewsUsed", lens.viewsUsed},
            {"cornersUsed", lens.cornersUsed},
@@ -188,8 +182,8 @@ JobResult describeLens(const LensCalibration& lens, const Views& views, const fs
 // Report and camera file of a lens.
 Result<JobResult> keepLens(const LensCalibration& lens, const Views& views,
                            const BoardGeometry& board, bool crossCheck, const fs::path& out,
-                           const fs::path& report, Progress& progress) {
-  JobResult result = describeLens(lens, views, out);
+                           const fs::path& report) {
+  JobResult result = describeLens(lens, views);
   std::optional<MrcalCheck> check;
   if (crossCheck) {
     ASSIGN_OR_RETURN(check, checkWithMrcal(lens, board));
@@ -202,12 +196,8 @@ Result<JobResult> keepLens(const LensCalibration& lens, const Views& views,
                                {"residualPixels", check->residualPixels}};
   }
   if (!report.empty()) {
-    LensReportInput input{lens, board, views.width, views.height, {}, nullptr};
-    for (const auto& [name, reason] : views.without)
-      input.picturesWithout.emplace_back(name, reason);
-    input.mrcal = check ? &*check : nullptr;
-    RETURN_IF_ERROR(writeLensReport(input, report));
-    result.text += line("report", (report / "index.html").string());
+    RETURN_IF_ERROR(
+        writeLensReport({out.filename().string(), lens, views.pictures, check, kSoftware}, report));
   }
   RETURN_IF_ERROR(saveCameraModel(*lens.model, out));
   return result;
@@ -303,8 +293,8 @@ Result<JobResult> lensJob(const LensJob& job, Progress& progress, std::stop_toke
   Views views;
   if (!job.images.empty()) {
     ASSIGN_OR_RETURN(const auto files, filesIn(job.images));
-    ASSIGN_OR_RETURN(const BoardSearch search, detectBoards(files, job.board, {}, progress));
-    views = viewsOf(search);
+    ASSIGN_OR_RETURN(BoardSearch search, detectBoards(files, job.board, {}, progress));
+    views = {std::move(search.pictures), search.width, search.height};
   } else if (!job.sketch.empty()) {
     ASSIGN_OR_RETURN(views, viewsInSketch(job.sketch, job.board, progress));
   } else {
@@ -317,19 +307,22 @@ Result<JobResult> lensJob(const LensJob& job, Progress& progress, std::stop_toke
     Camera* const cameras[] = {camera.get()};
     ASSIGN_OR_RETURN(const LiveViews live,
                      collectLiveViews(cameras, options, progress, std::move(stop), onState));
-    views.views = viewsOfCamera(live, 0);
-    std::tie(views.width, views.height) = live.sizes[0];
+    views = viewsOfCamera(live, 0);
   }
-  if (views.views.empty() && !views.without.empty()) {
+  const std::vector<BoardView> found = views.views();
+  if (found.empty() && !views.pictures.empty()) {
     return failure(ErrorCode::kNotFound,
                    "calibrate lens: none of {} pictures shows the board ({}: {}); check --board, "
                    "--corners and --dictionary",
-                   views.without.size(), views.without.front().first, views.without.front().second);
+                   views.pictures.size(), views.pictures.front().view.name,
+                   views.pictures.front().reason);
   }
-  ASSIGN_OR_RETURN(const LensCalibration lens, calibrateLens(views.views, job.board, views.width,
+  ASSIGN_OR_RETURN(const LensCalibration lens, calibrateLens(found, job.board, views.width,
                                                              views.height, job.options, progress));
   ASSIGN_OR_RETURN(JobResult result,
-                   keepLens(lens, views, job.board, job.crossCheck, job.out, job.report, progress));
+                   keepLens(lens, views, job.board, job.crossCheck, job.out, job.report));
+  result.text = line("camera file", job.out.string()) + result.text;
+  if (!job.report.empty()) result.text += line("report", job.report.string());
   for (const std::string& wish : job.exports) {
     RETURN_IF_ERROR(exportTo(*lens.model, wish, result));
   }
@@ -360,19 +353,18 @@ Result<JobResult> rigCalibrationJob(const RigCalibrationJob& job, Progress& prog
   JobResult result;
   std::vector<LensCalibration> lenses;
   for (std::size_t i = 0; i < cameras.size(); ++i) {
-    Views views;
-    views.views = viewsOfCamera(live, i);
-    std::tie(views.width, views.height) = live.sizes[i];
+    const Views views = viewsOfCamera(live, i);
     const std::string name = i == 0 ? "scene" : fmt::format("source-{}", i);
     auto lens =
-        calibrateLens(views.views, job.board, views.width, views.height, job.options, progress);
+        calibrateLens(views.views(), job.board, views.width, views.height, job.options, progress);
     if (!lens) {
       return failure(lens.error().code, "camera {}: {}", addresses[i], lens.error().message);
     }
     ASSIGN_OR_RETURN(const JobResult one,
                      keepLens(*lens, views, job.board, false, folder.path() / (name + ".json"),
-                              folder.path() / (name + "-report"), progress));
-    result.text += fmt::format("{}\n{}\n", addresses[i], one.text);
+                              folder.path() / (name + ".html")));
+    result.text +=
+        fmt::format("{}: {}\n{}\n", addresses[i], (job.out / (name + ".json")).string(), one.text);
     result.figures[name] = one.figures;
     lenses.push_back(std::move(*lens));
   }

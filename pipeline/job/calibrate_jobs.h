@@ -56,7 +56,8 @@ struct RigCalibrationJob {
   // origin. Else the scene frame is the scene camera's own view of rig.json, or `sceneFrom`.
   bool flatLast = false;
   std::filesystem::path sceneFrom;  // rig.json whose scene camera pose is kept
-  std::filesystem::path out;        // a new folder: scene.json, source-N.json, rig.json, reports
+  std::filesystem::path
+      out;  // a new folder: scene.json, source-N.json, rig.json, and an HTML report of each lens
 };
 Result<JobResult> rigCalibrationJob(const RigCalibrationJob& job, Progress& progress,
                                     std::stop_token stop,

@@ -146,7 +146,7 @@ void CalibrateCommands::addLens(CLI::App& app) {
       "whole field and the field that was covered. Bring the board close, tilt it, and into the "
       "rim of the picture: parts of it count.",
       "lightsketch calibrate lens board/*.png --corners 8x5 --square 30 --out source.json --report "
-      "report",
+      "lens.html",
       common_);
   command->add_option("images", lens_.images, "pictures, or folders of them");
   command->add_option("--sketch", lens_.sketch, "take the frames of this sketch");
@@ -161,7 +161,7 @@ void CalibrateCommands::addLens(CLI::App& app) {
   addLensOptions(*command, lens_.options);
   command->add_flag("--mrcal", lens_.crossCheck, "cross-check with mrcal's splined model");
   command->add_option("--out", lens_.out, "camera file, JSON")->required();
-  command->add_option("--report", lens_.report, "a new folder for the HTML report");
+  command->add_option("--report", lens_.report, "the report, an HTML file");
   command
       ->add_option("--export", lens_.exports,
                    "for other programs: mrcal=FILE, opencv=FILE or kalibr=FILE; may be repeated")
