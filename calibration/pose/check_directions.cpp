@@ -4,13 +4,12 @@
 #include <algorithm>
 #include <cmath>
 
+#include "calibration/pose/ball_sketch.h"
+
 namespace lightsketch {
 namespace {
 
 using Eigen::Vector3d;
-
-// Ambient light and outline are known well enough from so many frames.
-constexpr std::size_t kOverviewFrames = 48;
 
 Angle angleBetween(const Vector3d& a, const Vector3d& b) {
   return Angle::radians(std::atan2(a.cross(b).norm(), a.dot(b)));
@@ -34,33 +33,18 @@ Result<DirectionCheck> checkDirections(const Sketch& sketch, const std::optional
         "metres");
   }
 
-  RadianceImage minimum;
-  RadianceImage mean;
-  const std::size_t stride = (ids.size() + kOverviewFrames - 1) / kOverviewFrames;
-  for (std::size_t i = 0; i < ids.size(); i += stride) {
-    if (progress.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
-    ASSIGN_OR_RETURN(const auto image, sketch.readFrame(ids[i]));
-    lowerTo(minimum, image);
-    if (mean.empty()) mean = RadianceImage(image.width(), image.height(), image.channels());
-    for (std::size_t k = 0; k < mean.size(); ++k) {
-      // A highlight counts no more than white: the mean is for the outline.
-      mean.data()[k] += std::min(image.data()[k], 1.0f) * static_cast<float>(stride) /
-                        static_cast<float>(ids.size());
-    }
-    progress.update("looking for the ball", i + 1, ids.size());
-  }
-
+  ASSIGN_OR_RETURN(const SketchOverview overview, overviewOf(sketch, ids, progress));
   std::optional<BallCircle> circle;
   std::optional<MirrorBall> ball;
   Image<std::uint8_t> mask;
   if (camera) {
-    ASSIGN_OR_RETURN(const auto cone, findBallCone(mean, *camera->model, hint));
+    ASSIGN_OR_RETURN(const auto cone, findBallCone(overview.mean, *camera->model, hint));
     ASSIGN_OR_RETURN(ball,
                      ballFromOutline(camera->pose, *camera->model, cone, camera->ballRadiusMetres));
     mask = ballMask(cone, *camera->model);
   } else {
-    ASSIGN_OR_RETURN(circle, findBallCircle(mean, hint));
-    mask = ballMask(*circle, mean.width(), mean.height());
+    ASSIGN_OR_RETURN(circle, findBallCircle(overview.mean, hint));
+    mask = ballMask(*circle, overview.mean.width(), overview.mean.height());
   }
 
   DirectionCheck check;
@@ -72,7 +56,7 @@ Result<DirectionCheck> checkDirections(const Sketch& sketch, const std::optional
     check.frames.push_back({});
     auto& frame = check.frames.back();
     frame.id = ids[i];
-    const auto highlight = findHighlight(image, minimum, mask);
+    const auto highlight = findHighlight(image, overview.minimum, mask);
     if (!highlight) {
       frame.skipped = highlight.error().message;
       continue;
