@@ -20,6 +20,57 @@ int mirrored(int i, int size) {
   return i >= size ? 2 * size - 2 - i : i;
 }
 
+// Malvar, He and Cutler 2004, "High-quality linear interpolation for demosaicing of
+// Bayer-patterned color images", figure 2: bilinear plus a gain-weighted Laplacian of the sample's
+// own colour. All four filters are evaluated for every pixel of a row (they vectorise, given that
+// nothing overlaps, and share their sums); the parity then picks.
+void filterRow(const float* c, std::ptrdiff_t stride, int width, float* __restrict cross,
+               float* __restrict alongRow, float* __restrict alongColumn,
+               float* __restrict diagonal) {
+  const float* const n = c - stride;
+  const float* const s = c + stride;
+  const float* const nn = n - stride;
+  const float* const ss = s + stride;
+  for (std::ptrdiff_t x = 0; x < width; ++x) {
+    const float h1 = c[x - 1] + c[x + 1];
+    const float v1 = n[x] + s[x];
+    const float h2 = c[x - 2] + c[x + 2];
+    const float v2 = nn[x] + ss[x];
+    const float d = n[x - 1] + n[x + 1] + s[x - 1] + s[x + 1];
+    cross[x] = 0.5f * c[x] + 0.25f * (h1 + v1) - 0.125f * (h2 + v2);
+    alongRow[x] = 0.625f * c[x] + 0.5f * h1 - 0.125f * (h2 + d) + 0.0625f * v2;
+    alongColumn[x] = 0.625f * c[x] + 0.5f * v1 - 0.125f * (v2 + d) + 0.0625f * h2;
+    diagonal[x] = 0.75f * c[x] + 0.25f * d - 0.1875f * (h2 + v2);
+  }
+}
+
+struct Filtered {
+  float* cross;        // green at red and blue
+  float* alongRow;     // the row's own colour at green
+  float* alongColumn;  // the other colour at green
+  float* diagonal;     // red at blue, blue at red
+};
+
+void weaveRow(const float* c, const Filtered& f, bool redRow, int width, float* __restrict out) {
+  // The colour that this row's mosaic holds beside green, and the one it lacks.
+  const int own = redRow ? 0 : 2;
+  const int other = 2 - own;
+  const auto colour = [&](int x) {
+    float* const pixel = out + 3 * x;
+    pixel[own] = c[x];
+    pixel[1] = f.cross[x];
+    pixel[other] = f.diagonal[x];
+  };
+  const auto green = [&](int x) {
+    float* const pixel = out + 3 * x;
+    pixel[own] = f.alongRow[x];
+    pixel[1] = c[x];
+    pixel[other] = f.alongColumn[x];
+  };
+  for (int x = redRow ? 0 : 1; x < width; x += 2) colour(x);
+  for (int x = redRow ? 1 : 0; x < width; x += 2) green(x);
+}
+
 }  // namespace
 
 void readCounts(const Frame& frame, int row, std::span<float> counts) {
@@ -177,10 +228,7 @@ void SamplePlane::fill(std::span<const PixelPosition> hotPixels) {
   }
 }
 
-// Malvar, He and Cutler 2004, "High-quality linear interpolation for demosaicing of
-// Bayer-patterned color images", figure 2: bilinear plus a gain-weighted Laplacian of the sample's
-// own colour. All four filters are evaluated for every pixel of a row (they vectorise and share
-// their sums); the parity then picks.
+// Mirrored edges, then the filters row by row.
 RadianceImage SamplePlane::demosaic() {
   for (int y = 0; y < height_; ++y) {
     float* const samples = row(y).data();
@@ -198,39 +246,15 @@ RadianceImage SamplePlane::demosaic() {
   }
 
   RadianceImage image(width_, height_, 3);
-  std::vector<float> filtered(4 * index(width_));
-  float* const cross = filtered.data();          // green at red and blue
-  float* const alongRow = cross + width_;        // the row's own colour at green
-  float* const alongColumn = alongRow + width_;  // the other colour at green
-  float* const diagonal = alongColumn + width_;  // red at blue, blue at red
+  const std::size_t width = index(width_);
+  std::vector<float> filtered(4 * width);
   for (int y = 0; y < height_; ++y) {
-    const float* const c = row(y).data();
-    const float* const n = c - stride_;
-    const float* const s = c + stride_;
-    const float* const nn = n - stride_;
-    const float* const ss = s + stride_;
-    for (std::ptrdiff_t x = 0; x < width_; ++x) {
-      const float h1 = c[x - 1] + c[x + 1];
-      const float v1 = n[x] + s[x];
-      const float h2 = c[x - 2] + c[x + 2];
-      const float v2 = nn[x] + ss[x];
-      const float d = n[x - 1] + n[x + 1] + s[x - 1] + s[x + 1];
-      cross[x] = 0.5f * c[x] + 0.25f * (h1 + v1) - 0.125f * (h2 + v2);
-      alongRow[x] = 0.625f * c[x] + 0.5f * h1 - 0.125f * (h2 + d) + 0.0625f * v2;
-      alongColumn[x] = 0.625f * c[x] + 0.5f * v1 - 0.125f * (v2 + d) + 0.0625f * h2;
-      diagonal[x] = 0.75f * c[x] + 0.25f * d - 0.1875f * (h2 + v2);
-    }
-    float* out = image.row(y).data();
-    const bool redRow = y % 2 == 0;
-    for (int x = 0; x < width_; ++x, out += 3) {
-      const bool green = (x % 2 == 0) != redRow;
-      // The colour that this row's mosaic holds beside green, and the one it lacks.
-      const float own = green ? alongRow[x] : c[x];
-      const float other = green ? alongColumn[x] : diagonal[x];
-      out[0] = redRow ? own : other;
-      out[1] = green ? c[x] : cross[x];
-      out[2] = redRow ? other : own;
-    }
+    const Filtered f{filtered.data(), filtered.data() + width, filtered.data() + 2 * width,
+                     filtered.data() + 3 * width};
+    const float* const samples = row(y).data();
+    filterRow(samples, static_cast<std::ptrdiff_t>(stride_), width_, f.cross, f.alongRow,
+              f.alongColumn, f.diagonal);
+    weaveRow(samples, f, y % 2 == 0, width_, image.row(y).data());
   }
   return image;
 }
