@@ -126,7 +126,7 @@ std::map<std::string, std::string> flatYaml(const std::string& text) {
     };
     if (depth > 0 || content.starts_with("- ")) {
       // A list goes on, or an item of a block list.
-      leaves[current] += " " + (depth > 0 ? content : content.substr(2));
+      leaves[current].append(1, ' ').append(depth > 0 ? content : content.substr(2));
     } else {
       const auto colon = content.find(':');
       if (colon == std::string::npos) continue;
