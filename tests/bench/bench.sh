@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
-# Measurements on real data sets, through the command line alone. The data are not part of the
-# project: LIGHTSKETCH_DATA names the folder that holds them (default: shared/data beside the checkout).
+# Measurements: on real data sets through the command line, and the bench programs of this folder, which
+# the release build builds. The data are not part of the project: LIGHTSKETCH_DATA names the folder that
+# holds them (default: shared/data beside the checkout, which is where the programs look).
 set -euo pipefail
 root=$(cd "$(dirname "${BASH_SOURCE[0]}")/../.." && pwd)
 program=${LIGHTSKETCH:-$root/build/release/bin/lightsketch}
@@ -11,6 +12,12 @@ usage() {
 ./run bench realrti     six RealRTI sets, every eighth light held out, full rank: PSNR per set and mean
 ./run bench kill        a recording on the simulated rig, killed (kill -9) twenty times and gone on with
 ./run bench sets        DiLiGenT "cat" (16-bit, linear, light intensities) and 895 hand-held frames
+
+./run bench lens        lenses from boards: against the truth, against OpenCV's calibrations, on real boards
+./run bench boards      boards found in two real fisheye sets, against OpenCV's searches
+./run bench ball        directions and poses from mirror balls; the highlights of a real ball
+./run bench radiometry  response and exposure merge against OpenCV's, simulated and on a real bracket
+./run bench chain       the simulated rig from nothing: lenses, poses, recording; directions against its truth
 TEXT
 }
 
@@ -94,6 +101,14 @@ kill_recording() {
   "$program" export "$work/sketch" --images exr --out "$work/export" --quiet
 }
 
+# bench_program NAME ARGUMENTS...
+bench_program() {
+  local program=$root/build/release/bin/bench_$1
+  [ -x "$program" ] || { echo "bench: $program is not built; ./run build" >&2; exit 1; }
+  shift
+  exec "$program" "$@"
+}
+
 case "${1:-}" in
   realrti | sets | kill)
     work=$(mktemp -d "${TMPDIR:-/tmp}/lightsketch-bench.XXXXXX")
@@ -101,6 +116,8 @@ case "${1:-}" in
     trap '[ -z "$rig" ] || kill $rig 2>/dev/null; rm -rf "$work"' EXIT
     case $1 in kill) kill_recording ;; *) "$1" ;; esac
     ;;
+  lens | boards | radiometry | chain) bench_program "$@" ;;
+  ball) bench_program mirror_ball ;;
   '') usage ;;
   *)
     usage >&2
