@@ -1,18 +1,9 @@
 // The command line from the outside: what a script sees.
-#include <gtest/gtest.h>
-#include <sys/resource.h>
-#include <sys/wait.h>
-#include <unistd.h>
+#include "tests/ui/cli/program_test.h"
 
 #include <Eigen/Core>
 #include <cmath>
-#include <cstdlib>
-#include <filesystem>
-#include <fstream>
 #include <numbers>
-#include <sstream>
-#include <string>
-#include <vector>
 
 #include "capture/frame/json.h"
 #include "capture/frame/srgb.h"
@@ -21,83 +12,8 @@
 namespace lightsketch {
 namespace {
 
-namespace fs = std::filesystem;
-
-struct Outcome {
-  int exitCode = -1;
-  std::string out;
-  std::string error;
-};
-
-std::string slurp(const fs::path& path) {
-  std::ifstream stream(path, std::ios::binary);
-  std::ostringstream text;
-  text << stream.rdbuf();
-  return text.str();
-}
-
-// Every entry below a folder, hidden ones included.
-std::vector<std::string> entriesBelow(const fs::path& folder) {
-  std::vector<std::string> names;
-  for (const auto& entry : fs::recursive_directory_iterator(folder)) {
-    names.push_back(fs::relative(entry.path(), folder).string());
-  }
-  std::sort(names.begin(), names.end());
-  return names;
-}
-
-class CommandLine : public ::testing::Test {
+class CommandLine : public ProgramTest {
  protected:
-  void SetUp() override {
-    std::string pattern = (fs::temp_directory_path() / "lightsketch-cli-XXXXXX").string();
-    ASSERT_NE(::mkdtemp(pattern.data()), nullptr);
-    folder_ = pattern;
-  }
-  void TearDown() override { fs::remove_all(folder_); }
-
-  fs::path path(const std::string& name) const { return folder_ / name; }
-
-  // Runs the program; `fileSizeLimit` in bytes makes larger writes fail as on a full disk.
-  Outcome run(const std::vector<std::string>& arguments,
-              rlim_t fileSizeLimit = RLIM_INFINITY) const {
-    const fs::path out = fs::temp_directory_path() / (folder_.filename().string() + ".out");
-    const fs::path error = fs::temp_directory_path() / (folder_.filename().string() + ".err");
-    const pid_t child = ::fork();
-    if (child == 0) {
-      if (!std::freopen(out.c_str(), "w", stdout) || !std::freopen(error.c_str(), "w", stderr)) {
-        std::_Exit(126);
-      }
-      const rlimit limit{fileSizeLimit, fileSizeLimit};
-      ::setrlimit(RLIMIT_FSIZE, &limit);
-      std::vector<char*> argv{const_cast<char*>(LIGHTSKETCH_BINARY)};
-      for (const auto& argument : arguments) argv.push_back(const_cast<char*>(argument.c_str()));
-      argv.push_back(nullptr);
-      ::execv(LIGHTSKETCH_BINARY, argv.data());
-      std::_Exit(127);
-    }
-    int status = 0;
-    ::waitpid(child, &status, 0);
-    Outcome outcome;
-    outcome.exitCode = WIFEXITED(status) ? WEXITSTATUS(status) : 128 + WTERMSIG(status);
-    outcome.out = slurp(out);
-    outcome.error = slurp(error);
-    fs::remove(out);
-    fs::remove(error);
-    return outcome;
-  }
-
-  // Exit code 1, one line that mentions `what`, and nothing new in the folder.
-  void expectRefusal(const std::vector<std::string>& arguments, const std::string& what,
-                     rlim_t fileSizeLimit = RLIM_INFINITY) const {
-    const auto before = entriesBelow(folder_);
-    const Outcome outcome = run(arguments, fileSizeLimit);
-    EXPECT_EQ(outcome.exitCode, 1) << outcome.out << outcome.error;
-    EXPECT_EQ(outcome.out, "");
-    EXPECT_EQ(std::count(outcome.error.begin(), outcome.error.end(), '\n'), 1) << outcome.error;
-    EXPECT_NE(outcome.error.find(what), std::string::npos) << outcome.error;
-    EXPECT_EQ(entriesBelow(folder_), before);
-  }
-
   // A matte bumpy plane under `count` lights, rendered here: 8-bit sRGB PNG and a .lp.
   void writeSet(const std::string& name, int count) const {
     fs::create_directories(path(name));
@@ -129,8 +45,6 @@ class CommandLine : public ::testing::Test {
     const auto outcome = run({"import", path(set), "--out", path(sketch), "--quiet"});
     ASSERT_EQ(outcome.exitCode, 0) << outcome.error;
   }
-
-  fs::path folder_;
 };
 
 // --- The whole way ----------------------------------------------------------------------------
