@@ -28,6 +28,7 @@ constexpr float kLeastHighlight = 0.1f;  // of saturation: a mirror shows the la
 constexpr double kFineEdge = 0.0015;     // the same in linear units, once the place is known
 // What no average over the outline takes out: blooming, a lens's blur, the ball's own shade.
 constexpr double kOutlineBiasPixels = 0.05;
+constexpr double kUnseenBias = 0.02;  // of the radius, for an outline that hardly shows
 
 // Encoded, a lamp's glare does not hide a dim outline; linear, the middle of an edge's slope is
 // where the edge is (encoded, 0.1 pixels off).
@@ -136,9 +137,14 @@ std::optional<Outline> outlineNear(const Image<float>& encoded, const Image<floa
 
   const double tolerance = std::max(1.0, 0.01 * r);
   std::mt19937 random(1);
-  Vector3d best = Vector3d::Zero();
-  int bestCount = 0;
-  for (int trial = 0; trial < 1500; ++trial) {
+  struct Candidate {
+    Vector3d curve = Vector3d::Zero();
+    Vector2d centre = Vector2d::Zero();
+    double radius = 0;
+    int count = 0;  // azimuths with an edge on it
+  };
+  std::vector<Candidate> candidates;
+  for (int trial = 0; trial < 3000; ++trial) {
     std::vector<Vector2d> three;
     for (int i = 0; i < 3; ++i) three.push_back(edges[random() % edges.size()].pixel);
     const auto found = curve.through(three);
@@ -147,26 +153,42 @@ std::optional<Outline> outlineNear(const Image<float>& encoded, const Image<floa
     const auto right = curve.at(*found, 0);
     const auto left = curve.at(*found, std::numbers::pi);
     if (!right || !left) continue;
-    const double radius = (right->first - left->first).norm() / 2;
-    const Vector2d centre = (right->first + left->first) / 2;
-    if (radius < 0.65 * r || radius > 1.35 * r || (centre - hint.centre).norm() > 0.4 * r) continue;
-    int count = 0;
+    Candidate candidate;
+    candidate.curve = *found;
+    candidate.radius = (right->first - left->first).norm() / 2;
+    candidate.centre = (right->first + left->first) / 2;
+    if (candidate.radius < 0.65 * r || candidate.radius > 1.35 * r ||
+        (candidate.centre - hint.centre).norm() > 0.4 * r) {
+      continue;
+    }
     int last = -1;
     for (const auto& edge : edges) {
       if (edge.azimuth == last || std::abs(curve.distance(*found, edge.pixel)) > tolerance)
         continue;
-      ++count;
+      ++candidate.count;
       last = edge.azimuth;
     }
-    if (count > bestCount) {
-      bestCount = count;
-      best = *found;
-    }
+    if (candidate.count >= kAzimuths / 5) candidates.push_back(candidate);
   }
-  if (bestCount < kAzimuths / 5) return std::nullopt;
+  if (candidates.empty()) return std::nullopt;
+  const auto byCount = [](const Candidate& a, const Candidate& b) { return a.count < b.count; };
+  Candidate best = *std::max_element(candidates.begin(), candidates.end(), byCount);
+  // A ball on a table mirrors the table's rim as a circle, often starker than the ball's outline,
+  // where it mirrors what is right behind it. But the outline is around everything else.
+  for (;;) {
+    std::vector<Candidate> around;
+    for (const Candidate& c : candidates) {
+      if (c.radius > 1.04 * best.radius && 2 * c.count > best.count &&
+          (c.centre - best.centre).norm() + best.radius < c.radius + 2 * tolerance) {
+        around.push_back(c);
+      }
+    }
+    if (around.empty()) break;
+    best = *std::max_element(around.begin(), around.end(), byCount);
+  }
 
   Outline outline;
-  outline.curve = best;
+  outline.curve = best.curve;
   for (int round = 0; round < 4; ++round) {
     const double reach = round == 0 ? 2 * tolerance : 2.0;
     outline.edges.clear();
@@ -436,9 +458,12 @@ Result<BallCone> findBallCone(const RadianceImage& image, const CameraModel& mod
   const double count = static_cast<double>(outline.edges.size());
   const double variance = squares / std::max(1.0, count - 3);
   const double perRadian = std::sqrt(std::abs(model.pixelsPerRadian(cone.axis).determinant()));
-  cone.covariance = (variance * normal.inverse() +
-                     kOutlineBiasPixels * kOutlineBiasPixels * Matrix3d::Identity()) /
-                    (perRadian * perRadian);
+  // Where much of the outline does not show, what passes for the rest may be a shadow's edge.
+  const double radiusPixels = perRadian * cone.angularRadius.radians();
+  const double bias =
+      std::hypot(kOutlineBiasPixels, kUnseenBias * (1 - cone.coverage) * radiusPixels);
+  cone.covariance =
+      (variance * normal.inverse() + bias * bias * Matrix3d::Identity()) / (perRadian * perRadian);
   return cone;
 }
 
@@ -510,7 +535,11 @@ Result<Highlight> findHighlight(const RadianceImage& image, const RadianceImage&
     double weight = 0;
     Vector2d centre = Vector2d::Zero();
     Eigen::Matrix2d moments = Eigen::Matrix2d::Zero();
-    int pixels = 0;  // of the core
+    int pixels = 0;    // of the core
+    double flank = 0;  // sum and number of the pixels around it
+    int around = 0;
+    // How gently it fades away.
+    double softness() const { return flank / std::max(around, 1); }
 
     void add(int x, int y, double w) {
       const Vector2d p(x + 0.5, y + 0.5);
@@ -544,6 +573,8 @@ Result<Highlight> findHighlight(const RadianceImage& image, const RadianceImage&
               stack.emplace_back(nx, ny);
             } else {
               spot.add(nx, ny, excess(nx, ny));  // its flank carries the fraction of a pixel
+              spot.flank += excess(nx, ny);
+              ++spot.around;
             }
           }
         }
@@ -553,6 +584,20 @@ Result<Highlight> findHighlight(const RadianceImage& image, const RadianceImage&
   }
   std::sort(spots.begin(), spots.end(),
             [](const Spot& a, const Spot& b) { return a.weight > b.weight; });
+  // The lamp itself is so bright that its image ends within a pixel; the sheen of a table that the
+  // ball mirrors may be clipped as well, and larger, but fades away.
+  constexpr int kLeastPixels = 3;
+  constexpr double kSharper = 0.8;
+  const auto sharpest =
+      std::min_element(spots.begin(), spots.end(), [](const Spot& a, const Spot& b) {
+        return std::pair(a.pixels < kLeastPixels, a.softness()) <
+               std::pair(b.pixels < kLeastPixels, b.softness());
+      });
+  if (sharpest->pixels >= kLeastPixels &&
+      sharpest->softness() < kSharper * spots.front().softness()) {
+    const Spot lamp = *sharpest;
+    std::erase_if(spots, [&](const Spot& s) { return lamp.softness() < kSharper * s.softness(); });
+  }
   Spot& spot = spots.front();
   if (spot.pixels > 0.1 * area) {
     return failure(ErrorCode::kNotFound,

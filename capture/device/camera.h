@@ -64,6 +64,8 @@ class Camera {
   // No callback runs after it returns. Bounded in time, also for a camera that is gone.
   virtual void stop() = 0;
   virtual StreamStatistics statistics() const = 0;
+  // Whether frames come from now on, at moments that starting it chooses; false for a recording.
+  virtual bool isLive() const { return true; }
 
   // GenICam features by name, for what only some cameras have.
   virtual bool hasFeature(const std::string& name) const = 0;

@@ -160,6 +160,7 @@ class ReplayCamera final : public Camera {
 
   void stop() override { player_ = {}; }
 
+  bool isLive() const override { return false; }
   StreamStatistics statistics() const override {
     StreamStatistics statistics;
     statistics.delivered = delivered_;

@@ -634,7 +634,11 @@ void GigeDevice::State::frameLoop(std::stop_token stop) {
     lock.unlock();
     exposeAndSend(shot, start, stop);
     lock.lock();
-    next = std::max(next + framePeriod(), Clock::now());
+    // A frame that took too long costs the next ones; the camera's beat goes on.
+    const Duration period = framePeriod();
+    next += period;
+    const TimePoint now = Clock::now();
+    if (next < now) next += (now - next + period - Duration(1)) / period * period;
   }
 }
 

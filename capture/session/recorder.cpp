@@ -31,6 +31,9 @@ constexpr double kSettleSeconds = 0.7;    // from the wish for darkness to darkn
 constexpr double kDarkestSlack = 0.07;  // relative brightness at which frames count as equally dark
 constexpr double kDarkestNoise = 5e-4;  // the same of full scale, for a dark room
 constexpr double kAmbientGivesUpSeconds = 15;
+constexpr double kAlignedSeconds = 0.003;    // a lamp at 28 degrees a second moves 0.08 meanwhile
+constexpr int kAlignments = 7;               // measurements, one more than starts
+constexpr double kAlignPatienceSeconds = 2;  // for the first frames
 
 // The ambient light: the mean of the darkest frames. Starts anew when it gets darker, so that
 // frames from before the lamp went off do not count.
@@ -174,6 +177,8 @@ struct SourceStream {
   BoundedQueue<Frame> queue{kFrameQueue};
   ObservationHistory history;
   std::atomic<Clock::rep> last{Clock::now().time_since_epoch().count()};
+  std::atomic<Clock::rep> lastExposed{0};  // middle of the last frame's exposure; 0: none yet
+  TimePoint started;                       // when its camera was told to
   std::jthread thread;
 };
 
@@ -275,10 +280,14 @@ class Recording {
       end(fmt::format("the {} camera was lost: {}", which, error.message), true);
     }
   }
-  void enqueue(BoundedQueue<Frame>& queue, std::atomic<Clock::rep>& last, Frame&& frame) {
+  void enqueue(BoundedQueue<Frame>& queue, std::atomic<Clock::rep>& last,
+               std::atomic<Clock::rep>& lastExposed, Frame&& frame) {
     last = Clock::now().time_since_epoch().count();
+    lastExposed = frame.metadata.midExposure.time_since_epoch().count();
     queue.push(std::move(frame));
   }
+  Result<void> startSource(SourceStream& source);
+  Result<void> alignPhases(const std::stop_token& stop);
   bool silent(const std::atomic<Clock::rep>& last) const {
     const double limit = kSilenceSeconds + 10 * options_.sceneExposureSeconds;
     return toSeconds(Clock::now() - TimePoint(TimePoint::duration(last.load()))) > limit;
@@ -329,8 +338,10 @@ class Recording {
   const TimePoint start_ = Clock::now();
   std::atomic<bool> ambientPhase_ = false;
   std::atomic<bool> lost_ = false;
-  std::atomic<int> durable_ = 0;  // directions on disk
-  std::atomic<int> written_ = 0;  // frames on disk
+  std::atomic<int> durable_ = 0;       // directions on disk
+  std::atomic<int> written_ = 0;       // frames on disk
+  std::atomic<bool> aligning_ = true;  // frames do not count yet
+  std::atomic<Clock::rep> lastSceneExposed_{0};
   std::atomic<Clock::rep> lastScene_{Clock::now().time_since_epoch().count()};
   BoundedQueue<Frame> sceneQueue_{kFrameQueue};
   BoundedQueue<WriteJob> writeQueue_{kWriteQueue};
@@ -346,6 +357,7 @@ class Recording {
 
 void Recording::trackSource(SourceStream& source) {
   while (auto frame = source.queue.pop()) {
+    if (aligning_) continue;
     if (ambientPhase_) {
       if (auto status = source.tracker.learnBackground(*frame); !status) {
         return fail(status.error());
@@ -381,6 +393,7 @@ void Recording::writeSketch() {
 
 void Recording::judgeScene() {
   while (auto frame = sceneQueue_.pop()) {
+    if (aligning_) continue;
     if (!firstFrame_) firstFrame_ = frame->metadata.midExposure;
     if (width_ != 0 && (frame->width != width_ || frame->height != height_)) {
       return fail({ErrorCode::kDevice,
@@ -465,6 +478,10 @@ tl::expected<Recording::Lit, Refusal> Recording::lightOn(const Frame& frame) {
   const std::span<const SeenLamp> used(lit.seen);
   auto light = lightAtSubject(options_.posesUnknown ? used.first(1) : used, rig_);
   if (!light) return tl::unexpected(Refusal::kUncertain);
+  // Of several cameras one sees the lamp: its distance is only known if somebody said it.
+  if (sources_.size() > 1 && used.size() == 1 && !options_.posesUnknown && !light->position) {
+    return tl::unexpected(Refusal::kUncertain);
+  }
   lit.light = std::move(*light);
   const double worst =
       Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(lit.light.covariance).eigenvalues()[2];
@@ -484,7 +501,7 @@ Result<Refusal> Recording::judge(const Frame& frame) {
   const LightDirection& light = lit->light;
   if (lit->seen.size() > 1 && light.position) lampDistance_ = light.position->norm();
   const auto cell = coverage_.cellOf(light.direction);
-  if (!cell || coverage_.captured(*cell)) {
+  if (!options_.posesUnknown && (!cell || coverage_.captured(*cell))) {
     RETURN_IF_ERROR(endBracket());
     return cell ? Refusal::kNotNew : Refusal::kOutsideGrid;
   }
@@ -536,7 +553,7 @@ Result<Refusal> Recording::judge(const Frame& frame) {
   const PairedLamp& paired = lit->paired.front();
   record.pairingErrorSeconds = std::min(paired.secondsToBefore, paired.secondsToAfter);
   record.saturatedFraction = linear.saturatedFraction;
-  record.gates = {{"cell", *cell},
+  record.gates = {{"cell", cell.value_or(-1)},
                   {"lampMotionDegrees", lit->motion.degrees()},
                   {"sourceSecondsBefore", paired.secondsToBefore},
                   {"sourceSecondsAfter", paired.secondsToAfter},
@@ -628,6 +645,49 @@ void Recording::report() {
   if (onState_) onState_(state_);
 }
 
+Result<void> Recording::startSource(SourceStream& source) {
+  source.lastExposed = 0;
+  source.started = Clock::now();
+  return source.camera.start(
+      [this, &source](Frame&& frame) {
+        enqueue(source.queue, source.last, source.lastExposed, std::move(frame));
+      },
+      [this](const Error& error) { cameraEnded("source", error); });
+}
+
+// Cameras that run freely at one rate keep the phase they were started with. A source frame exposed
+// together with the scene frame leaves nothing to interpolate, which a hand's tremor is too fast
+// for: so a source camera whose phase is off is started again, as much earlier or later.
+Result<void> Recording::alignPhases(const std::stop_token& stop) {
+  const double period = 1 / options_.framesPerSecond;
+  const auto over = [&] {
+    const std::lock_guard lock(mutex_);
+    return stop.stop_requested() || progress_.cancelled() || error_ || !ended_.empty();
+  };
+  for (const auto& source : sources_) {
+    if (!source->camera.isLive() || !sceneCamera_.isLive()) continue;
+    for (int attempt = 0; attempt < kAlignments; ++attempt) {
+      const TimePoint patience = Clock::now() + fromSeconds(kAlignPatienceSeconds + 2 * period);
+      while ((source->lastExposed == 0 || lastSceneExposed_ == 0) && Clock::now() < patience) {
+        if (over()) return {};
+        std::this_thread::sleep_for(std::chrono::milliseconds(5));
+      }
+      // Silence is for run() to notice.
+      if (source->lastExposed == 0 || lastSceneExposed_ == 0) return {};
+      const Duration late(Duration::rep(source->lastExposed - lastSceneExposed_));
+      const double offset = std::remainder(toSeconds(late), period);
+      if (std::abs(offset) < kAlignedSeconds || attempt + 1 == kAlignments) break;
+      source->camera.stop();
+      // The same latency as last time brings its frames `offset` earlier.
+      const double since = toSeconds(Clock::now() - source->started) + offset;
+      const double wait = std::ceil(since / period) * period - since;
+      std::this_thread::sleep_for(fromSeconds(wait));
+      RETURN_IF_ERROR(startSource(*source));
+    }
+  }
+  return {};
+}
+
 Result<RecorderSummary> Recording::run(std::stop_token stop) {
   if (coverage_.capturedCount() >= wanted_) {
     ended_ = "nothing to do, the coverage goal was reached before";
@@ -656,19 +716,19 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
     std::vector<std::unique_ptr<Streaming>> streaming;
     for (const auto& source : sources_) {
       streaming.push_back(std::make_unique<Streaming>(&source->camera));
-      started = source->camera.start(
-          [this, &source = *source](Frame&& frame) {
-            enqueue(source.queue, source.last, std::move(frame));
-          },
-          [this](const Error& error) { cameraEnded("source", error); });
+      started = startSource(*source);
       if (!started) break;
     }
     streaming.push_back(std::make_unique<Streaming>(&sceneCamera_));
     if (started) {
       started = sceneCamera_.start(
-          [this](Frame&& frame) { enqueue(sceneQueue_, lastScene_, std::move(frame)); },
+          [this](Frame&& frame) {
+            enqueue(sceneQueue_, lastScene_, lastSceneExposed_, std::move(frame));
+          },
           [this](const Error& error) { cameraEnded("scene", error); });
     }
+    if (started) started = alignPhases(stop);
+    aligning_ = false;
     lastScene_ = Clock::now().time_since_epoch().count();
     for (const auto& source : sources_) source->last = lastScene_.load();
     while (started) {

@@ -472,6 +472,15 @@ Result<PoseCalibration> poseByBalls(const PoseJob& job, const Sketch& sketch,
     ASSIGN_OR_RETURN(const RigGeometry rig, loadRigGeometry(job.sceneFrom));
     balls.setup.sceneCameraPose = rig.sceneCamera;
   }
+  constexpr double kRulerSigmaMetres = 0.002;
+  constexpr double kLampDistanceError = 0.1;
+  for (const double metres : job.sourceDistancesMetres) {
+    balls.setup.sourceDistances.push_back(MeasuredLength{metres, kRulerSigmaMetres});
+  }
+  if (job.lampDistanceMetres) {
+    balls.setup.lampDistance = {*job.lampDistanceMetres,
+                                kLampDistanceError * *job.lampDistanceMetres};
+  }
   ASSIGN_OR_RETURN(BallPoseCalibration calibration,
                    poseFromMirrorBalls(balls.setup, balls.moments));
   return std::move(calibration.pose);

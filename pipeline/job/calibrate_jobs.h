@@ -77,6 +77,11 @@ struct PoseJob {
   std::filesystem::path sketch;
   std::vector<std::array<double, 3>> balls;  // rough outline x, y, radius in pixels; none: found
   std::vector<double> ballRadiiMetres;
+  // What fixes the scale, which one small ball hardly does: by source camera, how far it stands
+  // from the first ball's centre (a ruler's 2 mm are taken as one sigma), or the lamp's distance
+  // from the ball (a tenth). None: an arm's length.
+  std::vector<double> sourceDistancesMetres;
+  std::optional<double> lampDistanceMetres;
   std::filesystem::path sceneFrom;  // rig.json whose scene camera pose is kept
   std::filesystem::path out;        // rig.json
 };

@@ -190,7 +190,7 @@ int main(int argc, char** argv) {
   record.cameraModels = models;
   record.rigGeometry = out / "calibration/rig.json";  // its poses are not used
   record.recorder.posesUnknown = true;
-  record.recorder.directions = 1000;
+  record.recorder.sceneExposureSeconds = 0.005;  // the lamp's image is bright, its sheen less so
   record.recorder.timeLimitSeconds = 28;
   record.recorder.sceneBlackLevel = sceneBlackLevelCounts(record.recorder.sceneFormat);
   record.sketch = out / "ball";
@@ -200,6 +200,19 @@ int main(int argc, char** argv) {
   pose.sourceModels = models;
   pose.sketch = out / "ball";
   pose.ballRadiiMetres = {options.ballRadiusMetres};
+  // What a person would say: where the ball roughly is, and by a ruler, to a millimetre or two,
+  // how far the lenses are from it.
+  const auto ball = rig->mirrorBall();
+  const RigGeometry truth = rig->geometry();
+  const Eigen::Vector3d seen = truth.sceneCamera.sceneFromCamera.inverse() * ball.centre;
+  const double f = rig->sceneFocalLengthPixels();
+  pose.balls = {{320 + f * seen.x() / seen.z() + 4, 240 + f * seen.y() / seen.z() - 3,
+                 1.04 * f * ball.radius / seen.z()}};
+  for (const double wrong : {0.0015, -0.001}) {
+    const auto& camera = truth.sourceCameras[pose.sourceDistancesMetres.size()];
+    pose.sourceDistancesMetres.push_back(
+        (camera.sceneFromCamera.translation() - ball.centre).norm() + wrong);
+  }
   pose.out = out / "rig-by-ball.json";
   fmt::print("{}\n", orStop(poseJob(pose, progress), "calibrate pose").text);
   const RigGeometry byBall = orStop(loadRigGeometry(pose.out), "rig-by-ball.json");

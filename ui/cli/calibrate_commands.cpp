@@ -250,6 +250,21 @@ void CalibrateCommands::addPose(CLI::App& app) {
           },
           "radius of the ball in millimetres; one for each ball")
       ->allow_extra_args(false);
+  command
+      ->add_option_function<std::vector<double>>(
+          "--source-distance",
+          [this](const std::vector<double>& distances) {
+            for (const double mm : distances) pose_.sourceDistancesMetres.push_back(mm / 1000);
+          },
+          "how far a source camera's lens is from the first ball's centre, in millimetres, by a "
+          "ruler; one for each camera. One ball alone hardly fixes the scale; two balls apart, or "
+          "this, do")
+      ->allow_extra_args(false);
+  command
+      ->add_option("--lamp-distance", pose_.lampDistanceMetres,
+                   "the lamp's mean distance from the ball in metres, to a tenth, if nothing "
+                   "better is known")
+      ->check(CLI::PositiveNumber);
   command->add_option("--scene-from", pose_.sceneFrom, "keep the scene camera's pose of this rig");
   command->add_option("--out", pose_.out, "rig.json")->required();
   command->callback([this] {
