@@ -47,6 +47,19 @@ Image<float> luminanceOf(const RadianceImage& image, bool encoded) {
   return result;
 }
 
+// A picture that was taken for the lamp's highlight is dark all over else.
+RadianceImage wellExposed(const RadianceImage& image) {
+  std::vector<float> values(image.values().begin(), image.values().end());
+  const auto high = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 10 * 9);
+  std::nth_element(values.begin(), high, values.end());
+  constexpr float kBright = 0.2f;
+  RadianceImage exposed = image;
+  if (!(*high > 0 && *high < kBright)) return exposed;
+  const float gain = kBright / *high;
+  for (float& value : exposed.values()) value *= gain;
+  return exposed;
+}
+
 double sampleAt(const Image<float>& image, const Vector2d& pixel) {
   const double x = std::clamp(pixel.x() - 0.5, 0.0, image.width() - 1.0);
   const double y = std::clamp(pixel.y() - 0.5, 0.0, image.height() - 1.0);
@@ -367,8 +380,9 @@ Result<Outline> findOutline(const RadianceImage& image, const std::optional<Ball
   if (image.channels() != 3 || image.width() < 8 || image.height() < 8) {
     return failure(ErrorCode::kInvalidArgument, "mirror ball: needs an RGB picture");
   }
-  const Image<float> encoded = luminanceOf(image, true);
-  const Image<float> linear = luminanceOf(image, false);
+  const RadianceImage exposed = wellExposed(image);
+  const Image<float> encoded = luminanceOf(exposed, true);
+  const Image<float> linear = luminanceOf(exposed, false);
   if (hint) {
     if (!(hint->radiusPixels >= 3) || !hint->centre.allFinite()) {
       return failure(ErrorCode::kInvalidArgument,

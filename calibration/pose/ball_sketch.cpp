@@ -4,6 +4,7 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cmath>
 #include <mutex>
 #include <optional>
 
@@ -12,6 +13,34 @@ namespace {
 
 // Ambient light and outline are known well enough from so many frames.
 constexpr std::size_t kOverviewFrames = 48;
+
+// A hint drawn around the ball by eye is off by about this share of the radius,
+constexpr double kHintError = 0.03;
+// and an outline further from it than this is something that the ball mirrors, or a shadow.
+constexpr double kHintReach = 0.08;
+
+// The outline as it is seen or, where it does not show (a chrome ball mirrors at its rim what is
+// right behind it), as the hint has it; highlights then tell where the ball is.
+Result<BallCone> outlineOf(const SketchOverview& overview, const CameraModel& model,
+                           const std::optional<BallHint>& hint) {
+  auto found = findBallCone(overview.mean, model, hint);
+  if (!hint) return found;
+  const double r = hint->radiusPixels;
+  const auto axis = model.unproject(hint->centre);
+  const auto side = model.unproject(hint->centre + Eigen::Vector2d(r, 0));
+  if (!(r >= 3) || !axis || !side) return found;  // says what is wrong with the hint
+  const double perRadian = r / std::acos(std::clamp(axis->dot(*side), -1.0, 1.0));
+  if (found &&
+      std::acos(std::clamp(axis->dot(found->axis), -1.0, 1.0)) * perRadian < kHintReach * r &&
+      std::abs(found->angularRadius.radians() * perRadian - r) < kHintReach * r) {
+    return found;
+  }
+  BallCone cone;
+  cone.axis = *axis;
+  cone.angularRadius = Angle::radians(r / perRadian);
+  cone.covariance = std::pow(kHintError * r / perRadian, 2) * Eigen::Matrix3d::Identity();
+  return cone;
+}
 
 }  // namespace
 
@@ -66,7 +95,7 @@ Result<BallSketch> ballsInSketch(const Sketch& sketch, const RigCamera& sceneCam
   std::vector<Image<std::uint8_t>> masks;
   for (std::size_t b = 0; b < balls; ++b) {
     const auto hint = hints.empty() ? std::nullopt : std::optional(hints[b]);
-    ASSIGN_OR_RETURN(const BallCone cone, findBallCone(overview.mean, *sceneCamera.model, hint));
+    ASSIGN_OR_RETURN(const BallCone cone, outlineOf(overview, *sceneCamera.model, hint));
     result.setup.outlines.push_back(cone);
     masks.push_back(ballMask(cone, *sceneCamera.model));
   }

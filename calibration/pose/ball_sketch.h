@@ -27,7 +27,8 @@ struct BallSketch {
 
 // Outlines, highlights and lamp pixels of a sketch in which the lamp was waved around mirror balls
 // at the subject, as poseFromMirrorBalls() wants them. `sourceCameras` are named as in the journal.
-// `hints`: where the balls are, roughly; none for one ball that can be found by itself. Frames
+// `hints`: where the balls are, to a few percent of their radius; none for one ball that can be
+// found by itself. Where an outline does not show, the hint itself is taken for it. Frames
 // whose highlight is doubtful simply lack it. Fails where a ball is not found.
 Result<BallSketch> ballsInSketch(const Sketch& sketch, const RigCamera& sceneCamera,
                                  std::span<const RigCamera> sourceCameras,

@@ -31,9 +31,10 @@ constexpr double kSettleSeconds = 0.7;    // from the wish for darkness to darkn
 constexpr double kDarkestSlack = 0.07;  // relative brightness at which frames count as equally dark
 constexpr double kDarkestNoise = 5e-4;  // the same of full scale, for a dark room
 constexpr double kAmbientGivesUpSeconds = 15;
-constexpr double kAlignedSeconds = 0.003;    // a lamp at 28 degrees a second moves 0.08 meanwhile
-constexpr int kAlignments = 7;               // measurements, one more than starts
-constexpr double kAlignPatienceSeconds = 2;  // for the first frames
+constexpr double kAlignedSeconds = 0.003;  // a lamp at 28 degrees a second moves 0.08 meanwhile
+constexpr int kAlignments = 7;             // measurements, one more than starts
+constexpr double kAlignPatienceSeconds = kSilenceSeconds;  // for the first frames
+constexpr double kOutOfStepSeconds = 0.01;                 // worth a word
 
 // The ambient light: the mean of the darkest frames. Starts anew when it gets darker, so that
 // frames from before the lamp went off do not count.
@@ -387,7 +388,7 @@ void Recording::writeSketch() {
     auto id = sketch_.append(std::move(*job->record), job->radiance);
     if (!id) return fail(id.error());
     ++written_;
-    ++durable_;
+    if (!options_.posesUnknown) ++durable_;
   }
 }
 
@@ -676,7 +677,16 @@ Result<void> Recording::alignPhases(const std::stop_token& stop) {
       if (source->lastExposed == 0 || lastSceneExposed_ == 0) return {};
       const Duration late(Duration::rep(source->lastExposed - lastSceneExposed_));
       const double offset = std::remainder(toSeconds(late), period);
-      if (std::abs(offset) < kAlignedSeconds || attempt + 1 == kAlignments) break;
+      if (std::abs(offset) < kAlignedSeconds) break;
+      if (attempt + 1 == kAlignments) {
+        if (std::abs(offset) > kOutOfStepSeconds) {
+          progress_.warn(
+              fmt::format("source camera {} is {:.0f} ms out of step with the scene "
+                          "camera; a trigger line would bring them together",
+                          source->name, 1e3 * offset));
+        }
+        break;
+      }
       source->camera.stop();
       // The same latency as last time brings its frames `offset` earlier.
       const double since = toSeconds(Clock::now() - source->started) + offset;

@@ -213,6 +213,7 @@ int main(int argc, char** argv) {
     pose.sourceDistancesMetres.push_back(
         (camera.sceneFromCamera.translation() - ball.centre).norm() + wrong);
   }
+  pose.sceneFrom = out / "calibration/rig.json";  // the flat board says where the scene is
   pose.out = out / "rig-by-ball.json";
   fmt::print("{}\n", orStop(poseJob(pose, progress), "calibrate pose").text);
   const RigGeometry byBall = orStop(loadRigGeometry(pose.out), "rig-by-ball.json");

@@ -1,6 +1,7 @@
 // The command line: parses, calls a job, prints. Exit 0: done. 1: it failed, with one line on
 // standard error. 2: the call was wrong.
 #include <fmt/format.h>
+#include <glog/logging.h>
 
 #include <CLI/CLI.hpp>
 #include <atomic>
@@ -474,6 +475,7 @@ int run(int argc, char** argv) {
     return app.exit(error) == 0 ? 0 : 2;
   }
 
+  FLAGS_minloglevel = google::GLOG_FATAL;  // Ceres warns of steps that it then mends itself
   std::signal(SIGINT, onInterrupt);
   std::signal(SIGTERM, onInterrupt);
   std::signal(SIGPIPE, SIG_IGN);
