@@ -182,8 +182,10 @@ Result<MrcalLens> parseCameraModel(const std::string& text, const std::string& w
     return failure(ErrorCode::kUnsupported, "{}: mrcal knows no lens '{}'", where,
                    said.substr(0, 80));
   }
+  // Its reader runs past the end of a text that stops inside quotes; these close any.
+  const std::string closed = text + "\n#'\"\n";
   const std::shared_ptr<mrcal_cameramodel_t> read(
-      mrcal_read_cameramodel_string(text.data(), static_cast<int>(text.size())),
+      mrcal_read_cameramodel_string(closed.data(), static_cast<int>(closed.size())),
       [](mrcal_cameramodel_t* model) {
         if (model != nullptr) mrcal_free_cameramodel(&model);
       });

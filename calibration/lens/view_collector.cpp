@@ -5,8 +5,8 @@
 namespace lightsketch {
 namespace {
 
-constexpr double kStillPixels = 0.4;     // mean motion from one picture to the next
-constexpr double kStillSeconds = 0.5;    // pictures further apart say nothing about motion
+constexpr double kStillPixels = 0.4;  // mean motion from one picture to the next
+constexpr double kStillSeconds = 2;   // pictures further apart say nothing about motion
 constexpr double kNewFraction = 1 / 40.0;
 constexpr std::size_t kEnoughInCommon = 6;
 

@@ -19,7 +19,7 @@ using Eigen::Vector3d;
 using Eigen::Vector3f;
 
 constexpr double kDegree = std::numbers::pi / 180;
-constexpr double kStillSeconds = 0.42;
+constexpr double kFlatSeconds = 6;  // as long as it takes to tell the program that it lies
 constexpr float kPaper = 0.85f, kInk = 0.04f, kBack = 0.10f;
 
 const std::map<std::string, int, std::less<>> kDictionaries = {
@@ -198,13 +198,13 @@ HeldBoard::Stop HeldBoard::stopAt(const Vector3d& centre, const Vector3d& front,
   return stop;
 }
 
-void HeldBoard::add(Stop stop) {
+void HeldBoard::add(Stop stop, double seconds) {
   if (!stops_.empty()) {
     const double way = (stop.centre - stops_.back().centre).norm() +
                        0.12 * stop.rotation.angularDistance(stops_.back().rotation);
     stop.arriveSeconds = stops_.back().leaveSeconds + 0.3 + 0.5 * way;
   }
-  stop.leaveSeconds = stop.arriveSeconds + kStillSeconds;
+  stop.leaveSeconds = stop.arriveSeconds + seconds;
   stops_.push_back(stop);
 }
 
@@ -267,7 +267,8 @@ void HeldBoard::showTo(const BoardAudience& audience) {
   for (const Isometry3d& camera : audience.sceneFromSources) showToBoth(audience, camera);
 
   // Flat on the table at the subject.
-  add(stopAt(Vector3d(0, 0, table), Vector3d::UnitZ(), Vector3d::UnitY(), 0, table, 0.0));
+  add(stopAt(Vector3d(0, 0, table), Vector3d::UnitZ(), Vector3d::UnitY(), 0, table, 0.0),
+      kFlatSeconds);
   add(stopAt(Vector3d(0.01, 0.01, table), Vector3d::UnitZ(), Vector3d::UnitY(), 25, table, 0.0));
 }
 

@@ -63,7 +63,8 @@ class HeldBoard {
   Stop stopAt(const Eigen::Vector3d& centre, const Eigen::Vector3d& front,
               const Eigen::Vector3d& up, double rollDegrees, double tableHeight,
               std::optional<double> standingAt = std::nullopt) const;
-  void add(Stop stop);
+  static constexpr double kStillSeconds = 0.42;
+  void add(Stop stop, double seconds = kStillSeconds);
   void showTo(const BoardAudience& audience);
   void showToBoth(const BoardAudience& audience, const Eigen::Isometry3d& source);
 

@@ -52,7 +52,8 @@ struct RecorderOptions {
   // One sigma of the light's direction at the subject, along its worst axis.
   Angle maxDirectionSigma = Angle::degrees(1.0);
   // For recordings that poses are to be found from: each frame's direction is that of the first
-  // camera that sees the lamp, taken as far away, and nothing is refused for where the lamp is.
+  // camera that sees the lamp, taken as far away; every steady frame is kept, wherever its
+  // direction lies.
   bool posesUnknown = false;
   // At the start, with the lamp off: the ambient light is averaged over this time, counted from
   // when the scene is at its darkest, and the tracker learns the lights of the room. 0: no such

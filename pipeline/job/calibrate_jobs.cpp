@@ -143,6 +143,19 @@ JobResult describeLens(const LensCalibration& lens, const Views& views) {
                                  "corners thrown out",
                                  found, views.pictures.size(), lens.viewsUsed, lens.cornersUsed,
                                  thrownOut, rejected));
+  if (!without.empty()) {
+    std::map<std::string, int> reasons;
+    for (const Json& picture : without) ++reasons[picture["reason"].get<std::string>()];
+    const auto most =
+        std::max_element(reasons.begin(), reasons.end(),
+                         [](const auto& a, const auto& b) { return a.second < b.second; });
+    text += line("no board",
+                 fmt::format("in {} pictures; most often: {}", without.size(), most->first));
+    if (2 * without.size() > views.pictures.size()) {
+      text +=
+          line("warning", "most pictures show no board; check --board, --corners and --dictionary");
+    }
+  }
   text += line("covered field", fmt::format("{:.1f} to {:.1f} degrees off axis, by azimuth",
                                             narrow.degrees(), wide.degrees()));
   if (lens.splitHalf.splits > 0) {
@@ -199,21 +212,31 @@ Result<JobResult> keepLens(const LensCalibration& lens, const Views& views,
     RETURN_IF_ERROR(
         writeLensReport({out.filename().string(), lens, views.pictures, check, kSoftware}, report));
   }
-  RETURN_IF_ERROR(saveCameraModel(*lens.model, out));
   return result;
 }
 
-// "FORMAT=FILE".
-Result<void> exportTo(const CameraModel& model, const std::string& wish, JobResult& result) {
-  const auto split = wish.find('=');
-  if (split == std::string::npos || split + 1 == wish.size()) {
-    return failure(ErrorCode::kInvalidArgument,
-                   "--export {}: expected FORMAT=FILE, FORMAT being lightsketch, mrcal, opencv or "
-                   "kalibr",
-                   wish);
+struct Export {
+  CameraFormat format;
+  fs::path file;
+};
+
+// "FORMAT=FILE" each.
+Result<std::vector<Export>> parseExports(std::span<const std::string> wishes) {
+  std::vector<Export> exports;
+  for (const std::string& wish : wishes) {
+    const auto split = wish.find('=');
+    if (split == std::string::npos || split + 1 == wish.size()) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "'{}': expected FORMAT=FILE, such as mrcal=source.cameramodel", wish);
+    }
+    ASSIGN_OR_RETURN(const auto format, cameraFormatFromName(wish.substr(0, split)));
+    exports.push_back({format, wish.substr(split + 1)});
   }
-  ASSIGN_OR_RETURN(const auto format, cameraFormatFromName(wish.substr(0, split)));
-  const fs::path file = wish.substr(split + 1);
+  return exports;
+}
+
+Result<void> exportTo(const CameraModel& model, const Export& wish, JobResult& result) {
+  const auto& [format, file] = wish;
   ASSIGN_OR_RETURN(const CameraConversion conversion, exportCameraModel(model, format, file));
   result.text += line("exported", fmt::format("{}: {}", file.string(), conversion.text));
   result.figures["exports"].push_back({{"file", file.string()},
@@ -274,11 +297,22 @@ Result<JobResult> printBoardJob(const PrintBoardJob& job) {
   BoardPrintOptions options;
   options.paper = job.paper;
   options.dpi = job.dpi;
-  RETURN_IF_ERROR(printBoard(job.board, options, job.out));
+  Result<void> printed;
+  if (job.paper == "auto") {
+    for (const char* paper : {"A4", "A3", "A2"}) {
+      options.paper = paper;
+      printed = printBoard(job.board, options, job.out);
+      if (printed) break;
+    }
+  } else {
+    printed = printBoard(job.board, options, job.out);
+  }
+  if (!printed) return tl::unexpected<Error>(printed.error());
   return JobResult{
-      fmt::format("{}: print at 100 %, then measure the bar of 100 mm; if it is not 100 mm long, "
-                  "give the square's measured side to `calibrate lens`\n",
-                  job.out.string()),
+      fmt::format(
+          "{} ({}): print at 100 %, then measure the bar of 100 mm; if it is not 100 mm long, "
+          "give the square's measured side to `calibrate lens`\n",
+          job.out.string(), options.paper),
       {{"file", job.out.string()}}};
 }
 
@@ -290,6 +324,7 @@ Result<JobResult> lensJob(const LensJob& job, Progress& progress, std::stop_toke
     return failure(ErrorCode::kInvalidArgument,
                    "calibrate lens: give pictures, or --sketch, or --camera (one of them)");
   }
+  ASSIGN_OR_RETURN(const auto exports, parseExports(job.exports));
   Views views;
   if (!job.images.empty()) {
     ASSIGN_OR_RETURN(const auto files, filesIn(job.images));
@@ -323,19 +358,20 @@ Result<JobResult> lensJob(const LensJob& job, Progress& progress, std::stop_toke
                    keepLens(lens, views, job.board, job.crossCheck, job.out, job.report));
   result.text = line("camera file", job.out.string()) + result.text;
   if (!job.report.empty()) result.text += line("report", job.report.string());
-  for (const std::string& wish : job.exports) {
-    RETURN_IF_ERROR(exportTo(*lens.model, wish, result));
-  }
+  for (const Export& wish : exports) RETURN_IF_ERROR(exportTo(*lens.model, wish, result));
   return result;
 }
 
 Result<JobResult> rigCalibrationJob(const RigCalibrationJob& job, Progress& progress,
                                     std::stop_token stop,
                                     const std::function<void(const LiveViewState&)>& onState) {
-  if (job.flatLast != job.sceneFrom.empty()) {
+  if (job.sceneFrom.empty() && !job.ask) {
     return failure(ErrorCode::kInvalidArgument,
-                   "calibrate rig: say where the scene frame is: --flat-last (the board lies flat "
-                   "at the subject at the end) or --scene-from RIG.json");
+                   "calibrate rig: say where the scene frame is, with --scene-from RIG.json");
+  }
+  std::optional<RigGeometry> former;
+  if (!job.sceneFrom.empty()) {
+    ASSIGN_OR_RETURN(former, loadRigGeometry(job.sceneFrom));
   }
   ASSIGN_OR_RETURN(auto folder, PendingFolder::create(job.out));
   std::vector<std::string> addresses{job.sceneCamera};
@@ -345,10 +381,29 @@ Result<JobResult> rigCalibrationJob(const RigCalibrationJob& job, Progress& prog
   options.board = job.board;
   options.wanted = job.views;
   options.timeLimitSeconds = job.timeLimitSeconds;
-  options.keep = folder.path() / "views";
+  options.keep = job.out.string() + ".views";
   const auto pointers = pointersTo(cameras);
   ASSIGN_OR_RETURN(const LiveViews live,
-                   collectLiveViews(pointers, options, progress, std::move(stop), onState));
+                   collectLiveViews(pointers, options, progress, stop, onState));
+  std::optional<BoardView> flat;
+  if (!former) {
+    if (!job.ask("Lay the board flat at the subject, face up, and leave it there")) {
+      return failure(ErrorCode::kCancelled, "calibrate rig: given up");
+    }
+    options.wanted = 1;
+    options.keep += "/flat";
+    constexpr double kFlatSeconds = 20;
+    options.timeLimitSeconds = kFlatSeconds;
+    ASSIGN_OR_RETURN(const LiveViews last,
+                     collectLiveViews(std::span(pointers).first(1), options, progress, stop));
+    if (last.sightings.empty()) {
+      return failure(ErrorCode::kNotFound,
+                     "calibrate rig: the scene camera does not see the board lying still at the "
+                     "subject; the pictures taken so far are in {}.views",
+                     job.out.string());
+    }
+    flat = last.sightings.front().views.front();
+  }
 
   JobResult result;
   std::vector<LensCalibration> lenses;
@@ -375,17 +430,11 @@ Result<JobResult> rigCalibrationJob(const RigCalibrationJob& job, Progress& prog
     sources.push_back({addresses[i], lenses[i].model.get()});
   }
   CameraPose scenePose;
-  if (job.flatLast) {
-    const auto last = std::find_if(live.sightings.rbegin(), live.sightings.rend(),
-                                   [](const BoardSighting& s) { return s.views[0].has_value(); });
-    if (last == live.sightings.rend()) {
-      return failure(ErrorCode::kNotFound, "calibrate rig: the scene camera never saw the board");
-    }
-    ASSIGN_OR_RETURN(scenePose, sceneCameraFromFlatBoard(scene, *last->views[0], job.board,
-                                                         lenses[0].warpMetres));
+  if (flat) {
+    ASSIGN_OR_RETURN(scenePose,
+                     sceneCameraFromFlatBoard(scene, *flat, job.board, lenses[0].warpMetres));
   } else {
-    ASSIGN_OR_RETURN(const RigGeometry rig, loadRigGeometry(job.sceneFrom));
-    scenePose = rig.sceneCamera;
+    scenePose = former->sceneCamera;
   }
   std::vector<BoardMoment> moments;
   for (const BoardSighting& sighting : live.sightings) {
@@ -511,8 +560,11 @@ Result<JobResult> poseJob(const PoseJob& job, Progress& progress) {
     ASSIGN_OR_RETURN(const auto sketch, Sketch::open(job.sketch));
     std::vector<std::string> names;
     for (const Json& camera : sketch.manifest().cameras) {
-      if (camera.value("role", "") == "scene") scene.name = camera.value("address", scene.name);
-      if (camera.value("role", "") == "source") names.push_back(camera.value("address", ""));
+      const std::string where = (job.sketch / "sketch.json").string();
+      ASSIGN_OR_RETURN(const auto role, jsonString(camera, "role", where));
+      ASSIGN_OR_RETURN(const auto address, jsonString(camera, "address", where));
+      if (role == "scene") scene.name = address;
+      if (role == "source") names.push_back(address);
     }
     if (names.size() != sources.size()) {
       return failure(ErrorCode::kInvalidArgument,
@@ -609,12 +661,11 @@ Result<JobResult> checkDirectionsJob(const CheckDirectionsJob& job, Progress& pr
 }
 
 Result<JobResult> convertCameraJob(const ConvertCameraJob& job) {
+  ASSIGN_OR_RETURN(const auto exports, parseExports(job.exports));
   ASSIGN_OR_RETURN(const auto imported, loadAnyCameraModel(job.in));
   JobResult result{line("read", fmt::format("{}: {}", job.in.string(), imported.conversion.text)),
                    {{"exports", Json::array()}}};
-  for (const std::string& wish : job.exports) {
-    RETURN_IF_ERROR(exportTo(*imported.model, wish, result));
-  }
+  for (const Export& wish : exports) RETURN_IF_ERROR(exportTo(*imported.model, wish, result));
   return result;
 }
 

@@ -21,8 +21,8 @@ namespace lightsketch {
 // Prints a board at true scale; the format goes by the file's ending: .pdf, .svg, .png.
 struct PrintBoardJob {
   BoardGeometry board;
-  std::string paper = "A4";
-  double dpi = 300;  // of a PNG
+  std::string paper = "auto";  // the smallest of A4, A3, A2 that it fits on
+  double dpi = 300;            // of a PNG
   std::filesystem::path out;
 };
 Result<JobResult> printBoardJob(const PrintBoardJob& job);
@@ -52,12 +52,13 @@ struct RigCalibrationJob {
   double timeLimitSeconds = 240;
   BoardGeometry board;
   LensCalibrationOptions options;
-  // The last sighting is the board lying flat at the subject: its centre becomes the scene's
-  // origin. Else the scene frame is the scene camera's own view of rig.json, or `sceneFrom`.
-  bool flatLast = false;
-  std::filesystem::path sceneFrom;  // rig.json whose scene camera pose is kept
-  std::filesystem::path
-      out;  // a new folder: scene.json, source-N.json, rig.json, and an HTML report of each lens
+  // Where the scene frame is: of a rig.json whose scene camera pose is kept or, without one, the
+  // board lying flat at the subject, its centre the origin. `ask` tells the person to lay it there
+  // and comes back when it lies; false: give up.
+  std::filesystem::path sceneFrom;
+  std::function<bool(const std::string&)> ask;
+  std::filesystem::path out;  // a new folder: scene.json, source-N.json, rig.json, an HTML report
+                              // of each lens; and OUT.views, the pictures
 };
 Result<JobResult> rigCalibrationJob(const RigCalibrationJob& job, Progress& progress,
                                     std::stop_token stop,

@@ -96,15 +96,21 @@ Result<JobResult> rigJob(const RigJob& job, const std::function<void(const std::
   ASSIGN_OR_RETURN(const auto rig, SimulatedRig::start(job.rig));
   std::string where = fmt::format("scene camera   aravis:{}\nsource camera  aravis:{}",
                                   job.rig.sceneAddress, job.rig.sourceAddress);
+  if (!job.rig.secondSource.empty()) {
+    where += fmt::format("\nsource camera  aravis:{}", job.rig.secondSource);
+  }
   if (!job.calibrationFolder.empty()) {
     std::error_code error;
     std::filesystem::create_directories(job.calibrationFolder, error);
-    const auto model = job.calibrationFolder / "source.json";
+    for (std::size_t i = 0; i < rig->sourceCount(); ++i) {
+      const auto model =
+          job.calibrationFolder / (i == 0 ? "source.json" : fmt::format("source-{}.json", i + 1));
+      RETURN_IF_ERROR(saveCameraModel(*rig->calibratedSourceModel(i), model));
+      where += fmt::format("\ncamera model   {}", model.string());
+    }
     const auto geometry = job.calibrationFolder / "rig.json";
-    RETURN_IF_ERROR(saveCameraModel(*rig->calibratedSourceModel(), model));
     RETURN_IF_ERROR(saveRigGeometry(rig->geometry(), geometry));
-    where +=
-        fmt::format("\ncamera model   {}\nrig            {}", model.string(), geometry.string());
+    where += fmt::format("\nrig            {}", geometry.string());
   }
   onReady(where);
   while (!stop.stop_requested()) std::this_thread::sleep_for(std::chrono::milliseconds(100));
@@ -152,13 +158,15 @@ Result<JobResult> recordJob(const RecordJob& job, Progress& progress, std::stop_
   RigGeometry geometry;
   if (!job.rigGeometry.empty()) {
     ASSIGN_OR_RETURN(geometry, loadRigGeometry(job.rigGeometry));
-  } else if (job.sourceCameras.size() > 1) {
+  } else if (job.sourceCameras.size() > 1 && !job.recorder.posesUnknown) {
     return failure(ErrorCode::kInvalidArgument,
                    "record: two source cameras need their poses, --rig; `lightsketch calibrate "
                    "pose` finds them");
   } else {
     geometry.sceneCamera.camera = job.sceneCamera;
-    geometry.sourceCameras.push_back({job.sourceCameras.front(), uprightAtSubject(), {}});
+    for (const std::string& address : job.sourceCameras) {
+      geometry.sourceCameras.push_back({address, uprightAtSubject(), {}});
+    }
   }
   ASSIGN_OR_RETURN(const auto summary,
                    recordFrom(job, models, geometry, progress, std::move(stop), onState));

@@ -63,13 +63,15 @@ Result<LiveViews> collectLiveViews(std::span<Camera* const> cameras, const LiveV
                                    const std::function<void(const LiveViewState&)>& onState) {
   if (!options.keep.empty()) {
     std::error_code error;
-    std::filesystem::create_directories(options.keep, error);
+    for (std::size_t i = 0; i < cameras.size() && !error; ++i) {
+      std::filesystem::create_directories(options.keep / fmt::format("camera-{}", i), error);
+    }
     if (error) {
       return failure(ErrorCode::kIo, "{}: cannot create: {}", options.keep.string(),
                      error.message());
     }
   }
-  std::mutex mutex;  // Guards every Stream::latest and `lost`.
+  std::mutex mutex;  // Guards every Stream::latest, `lost` and `ended`.
   std::condition_variable arrived;
   std::optional<Error> lost;
   bool ended = false;
@@ -116,12 +118,18 @@ Result<LiveViews> collectLiveViews(std::span<Camera* const> cameras, const LiveV
   while (least() < options.wanted) {
     progress.update("views of the board", static_cast<std::size_t>(least()),
                     static_cast<std::size_t>(options.wanted));
-    if (progress.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
-    if (stop.stop_requested()) break;
+    if (stop.stop_requested() || progress.cancelled()) {
+      return failure(ErrorCode::kCancelled, "cancelled{}",
+                     options.keep.empty() || result.sightings.empty()
+                         ? std::string()
+                         : fmt::format("; the {} pictures taken so far are in {}",
+                                       result.sightings.size(), options.keep.string()));
+    }
     if (toSeconds(Clock::now() - start) > options.timeLimitSeconds) break;
 
     // The latest frames of all cameras that have one.
     std::vector<Stream*> fresh;
+    bool over = false;
     {
       std::unique_lock lock(mutex);
       const auto any = [&] {
@@ -131,6 +139,7 @@ Result<LiveViews> collectLiveViews(std::span<Camera* const> cameras, const LiveV
       };
       arrived.wait_for(lock, std::chrono::milliseconds(50), any);
       if (lost) return tl::unexpected<Error>(*lost);
+      over = ended;
       for (const auto& stream : streams) {
         if (!stream->latest) continue;
         stream->shown = std::exchange(stream->latest, std::nullopt);
@@ -138,7 +147,7 @@ Result<LiveViews> collectLiveViews(std::span<Camera* const> cameras, const LiveV
       }
     }
     if (fresh.empty()) {
-      if (ended) break;
+      if (over) break;
       if (toSeconds(Clock::now() - lastFrame) > kSilenceSeconds) {
         return failure(ErrorCode::kDevice, "no camera sent a frame for {} s", kSilenceSeconds);
       }
@@ -181,8 +190,8 @@ Result<LiveViews> collectLiveViews(std::span<Camera* const> cameras, const LiveV
         }
         stream.view->name = sighting.name;
         if (!options.keep.empty()) {
-          RETURN_IF_ERROR(keepPicture(*stream.shown,
-                                      options.keep / fmt::format("{}-{}.png", sighting.name, i)));
+          RETURN_IF_ERROR(keepPicture(*stream.shown, options.keep / fmt::format("camera-{}", i) /
+                                                         (sighting.name + ".png")));
         }
         stream.collector->keep(*stream.view);
         ++result.counts[i];

@@ -28,7 +28,7 @@ struct LiveViewOptions {
   int wanted = 40;  // per camera; the collection ends when all have them
   double timeLimitSeconds = 180;
   double framesPerSecond = 8;
-  std::filesystem::path keep;  // pictures of the views go here, NAME-CAMERA.png
+  std::filesystem::path keep;  // pictures of the views go here, camera-N/NAME.png
 };
 
 struct LiveViews {
@@ -45,8 +45,8 @@ struct LiveViewState {
 };
 
 // Streams all cameras and keeps a sighting whenever the board stands still somewhere that is new to
-// a camera. Blocks until all cameras have what is wanted, the time limit, `stop` or a cancelled
-// `progress`; the first two and `stop` return what there is.
+// a camera. Blocks until all cameras have what is wanted or the time limit, and returns what there
+// is. `stop` or a cancelled `progress` end it with kCancelled; kept pictures stay.
 Result<LiveViews> collectLiveViews(std::span<Camera* const> cameras, const LiveViewOptions& options,
                                    Progress& progress, std::stop_token stop,
                                    const std::function<void(const LiveViewState&)>& onState = {});

@@ -9,14 +9,13 @@
 #include "calibration/radiometry/response_calibration.h"
 #include "calibration/radiometry/response_file.h"
 #include "capture/device/camera.h"
+#include "capture/rig/rig_program.h"
 #include "pipeline/job/calibrate_jobs.h"
 
 namespace lightsketch {
 namespace {
 
 constexpr double kPatienceSeconds = 5;  // for a frame, beyond its exposure
-// What the feature RigProgram of the simulated rig is set to.
-constexpr double kRigDiffuser = 3, kRigDark = 4, kRigStill = 5;
 
 // A camera that delivers frames of the exposure that was asked for.
 class BracketCamera {
@@ -99,13 +98,15 @@ Result<Pictures> takeLive(const ResponseJob& job, Progress& progress, const std:
   }
   ASSIGN_OR_RETURN(const auto camera, openCamera(job.camera));
   const bool rig = camera->hasFeature("RigProgram");
-  const auto prepare = [&](double program, const char* wish) -> Result<void> {
-    if (rig) return camera->setFeature("RigProgram", program);
+  const auto prepare = [&](RigProgram program, const char* wish) -> Result<void> {
+    if (rig) return camera->setFeature("RigProgram", static_cast<double>(program));
     if (job.ask && job.ask(wish)) return {};
     return failure(ErrorCode::kCancelled, "calibrate response: given up");
   };
   BracketCamera live(*camera);
-  if (rig) RETURN_IF_ERROR(camera->setFeature("RigProgram", kRigStill));
+  if (rig) {
+    RETURN_IF_ERROR(camera->setFeature("RigProgram", static_cast<double>(RigProgram::kStill)));
+  }
   RETURN_IF_ERROR(live.start());
 
   const int steps =
@@ -123,12 +124,12 @@ Result<Pictures> takeLive(const ResponseJob& job, Progress& progress, const std:
     RETURN_IF_ERROR(live.take(exposures[i], job.framesPerExposure, stop, pictures.brackets[0]));
   }
   if (job.takeDark) {
-    RETURN_IF_ERROR(prepare(kRigDark, "Cover the lens"));
+    RETURN_IF_ERROR(prepare(RigProgram::kDark, "Cover the lens"));
     progress.update("dark frames", 0, 1);
     RETURN_IF_ERROR(live.take(job.longestSeconds, 4 * job.framesPerExposure, stop, pictures.dark));
   }
   if (job.takeDiffuser) {
-    RETURN_IF_ERROR(prepare(kRigDiffuser, "Hold an even white diffuser before the lens"));
+    RETURN_IF_ERROR(prepare(RigProgram::kDiffuser, "Hold an even white diffuser before the lens"));
     // The exposure at which the diffuser is half as bright as the sensor can take.
     for (std::size_t i = exposures.size(); i-- > 0;) {
       std::vector<Frame> probe;

@@ -169,8 +169,14 @@ int main(int argc, char** argv) {
   calibrate.sceneCamera = scene;
   calibrate.sourceCameras = sources;
   calibrate.views = 1000;
-  calibrate.timeLimitSeconds = rig->boardPeriodSeconds();
-  calibrate.flatLast = true;
+  calibrate.timeLimitSeconds = rig->boardPeriodSeconds() - 10;
+  calibrate.ask = [&rig](const std::string&) {  // the rig's hand lays it flat when its time comes
+    for (;;) {
+      const auto board = rig->boardAt(toSeconds(Clock::now() - rig->startTime()));
+      if (board && board->still && board->sceneFromBoard(2, 2) < -0.9999) return true;
+      std::this_thread::sleep_for(std::chrono::milliseconds(20));
+    }
+  };
   calibrate.out = out / "calibration";
   const JobResult calibration = orStop(rigCalibrationJob(calibrate, progress, {}), "calibrate rig");
   fmt::print("{}\n", calibration.text);

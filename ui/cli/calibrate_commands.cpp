@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <array>
+#include <cmath>
 #include <cstdio>
 #include <iostream>
 #include <map>
@@ -91,6 +92,12 @@ void addLensOptions(CLI::App& command, LensCalibrationOptions& options) {
   command.add_option("--seed", options.seed, "of the random halves")->capture_default_str();
 }
 
+bool askPerson(const std::string& wish) {
+  fmt::print(stderr, "\n{}, then press Enter (Ctrl-D: give up) ", wish);
+  std::string answer;
+  return static_cast<bool>(std::getline(std::cin, answer));
+}
+
 std::function<void(const LiveViewState&)> noteOn(ProgressBar& bar) {
   return [&bar](const LiveViewState& state) {
     std::string note;
@@ -128,7 +135,10 @@ void CalibrateCommands::addBoard(CLI::App& app) {
       addCommand(app, "board", "print a calibration board at true scale",
                  "lightsketch calibrate board --corners 8x5 --square 30 --out board.pdf", common_);
   addBoardOptions(*command, board_.board);
-  command->add_option("--paper", board_.paper, "A4, A3, A2, letter or fit (exact size)")
+  command
+      ->add_option("--paper", board_.paper,
+                   "A4, A3, letter, 420x297 (mm), ...; auto: the smallest of A4, A3, A2 that it "
+                   "fits on; fit: just large enough")
       ->capture_default_str();
   command->add_option("--dpi", board_.dpi, "of a PNG")
       ->check(CLI::Range(30.0, 2400.0))
@@ -180,7 +190,7 @@ void CalibrateCommands::addRig(CLI::App& app) {
       "now and then; some places should be seen by the scene camera and a source camera at once.",
       "lightsketch calibrate rig --scene aravis:192.168.1.20 --source aravis:192.168.1.21 "
       "--corners "
-      "8x5 --square 30 --flat-last --out calibration",
+      "8x5 --square 30 --out calibration",
       common_);
   command->add_option("--scene", rig_.sceneCamera, "scene camera")->required();
   command->add_option("--source", rig_.sourceCameras, "source camera; may be repeated")
@@ -194,12 +204,13 @@ void CalibrateCommands::addRig(CLI::App& app) {
       ->capture_default_str();
   addBoardOptions(*command, rig_.board);
   addLensOptions(*command, rig_.options);
-  command->add_flag("--flat-last", rig_.flatLast,
-                    "at the end the board lies flat at the subject: its centre is the origin");
-  command->add_option("--scene-from", rig_.sceneFrom, "keep the scene camera's pose of this rig");
+  command->add_option("--scene-from", rig_.sceneFrom,
+                      "keep the scene camera's pose of this rig; without it you are asked at the "
+                      "end to lay the board flat at the subject, and its centre is the origin");
   command->add_option("--out", rig_.out, "a new folder")->required();
   command->callback([this] {
     action_ = [this](ProgressBar& bar, const std::stop_token& stop) {
+      rig_.ask = askPerson;
       return rigCalibrationJob(rig_, bar, stop, noteOn(bar));
     };
   });
@@ -299,11 +310,7 @@ void CalibrateCommands::addResponse(CLI::App& app) {
   command->add_option("--out", response_.out, "response file, JSON")->required();
   command->add_option("--report", response_.report, "a new folder for the HTML report");
   command->callback([this] {
-    response_.ask = [](const std::string& wish) {
-      fmt::print(stderr, "{}, then press Enter (Ctrl-D: give up) ", wish);
-      std::string answer;
-      return static_cast<bool>(std::getline(std::cin, answer));
-    };
+    response_.ask = askPerson;
     action_ = [this](ProgressBar& bar, const std::stop_token& stop) {
       return responseJob(response_, bar, stop);
     };
@@ -331,6 +338,9 @@ void CalibrateCommands::addApply(CLI::App& app) {
       "--patch",
       [this](const std::string& text) {
         const auto v = numbers(text, 4, "X,Y,WIDTH,HEIGHT in pixels");
+        for (const double value : v) {
+          if (!(std::abs(value) < 1e6)) throw CLI::ValidationError("--patch: out of any picture");
+        }
         apply_.patch = {static_cast<int>(v[0]), static_cast<int>(v[1]), static_cast<int>(v[2]),
                         static_cast<int>(v[3])};
       },

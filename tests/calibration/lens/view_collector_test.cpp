@@ -25,8 +25,8 @@ TEST(ViewCollector, KeepsABoardThatIsStillAndSomewhereNew) {
   EXPECT_EQ(collector.judge({}, at(0.4)), ViewVerdict::kNoBoard);
   EXPECT_EQ(collector.judge(board(130, 100), at(0.5)), ViewVerdict::kMoving);
   EXPECT_EQ(collector.judge(board(130, 100), at(0.6)), ViewVerdict::kKeep);
-  // Pictures a second apart do not tell whether it moved in between.
-  EXPECT_EQ(collector.judge(board(130, 100), at(1.6)), ViewVerdict::kMoving);
+  // Pictures three seconds apart do not tell whether it moved in between.
+  EXPECT_EQ(collector.judge(board(130, 100), at(3.6)), ViewVerdict::kMoving);
 }
 
 TEST(ViewCollector, TakesAnotherPartOfTheBoardForNew) {
