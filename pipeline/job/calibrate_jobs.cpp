@@ -208,6 +208,7 @@ Result<JobResult> keepLens(const LensCalibration& lens, const Views& views,
                                {"largestDegrees", check->largest.degrees()},
                                {"residualPixels", check->residualPixels}};
   }
+  RETURN_IF_ERROR(saveCameraModel(*lens.model, out));
   if (!report.empty()) {
     RETURN_IF_ERROR(
         writeLensReport({out.filename().string(), lens, views.pictures, check, kSoftware}, report));
