@@ -19,8 +19,8 @@ constexpr double kHintError = 0.03;
 // and an outline further from it than this is something that the ball mirrors, or a shadow.
 constexpr double kHintReach = 0.08;
 
-// The outline as it is seen or, where it does not show (a chrome ball mirrors at its rim what is
-// right behind it), as the hint has it; highlights then tell where the ball is.
+}  // namespace
+
 Result<BallCone> outlineOf(const SketchOverview& overview, const CameraModel& model,
                            const std::optional<BallHint>& hint) {
   auto found = findBallCone(overview.mean, model, hint);
@@ -41,8 +41,6 @@ Result<BallCone> outlineOf(const SketchOverview& overview, const CameraModel& mo
   cone.covariance = std::pow(kHintError * r / perRadian, 2) * Eigen::Matrix3d::Identity();
   return cone;
 }
-
-}  // namespace
 
 Result<SketchOverview> overviewOf(const Sketch& sketch, std::span<const int> ids,
                                   Progress& progress) {

@@ -1,6 +1,7 @@
 // Mirror balls in a recorded sketch.
 #pragma once
 
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -19,6 +20,11 @@ struct SketchOverview {
 };
 Result<SketchOverview> overviewOf(const Sketch& sketch, std::span<const int> ids,
                                   Progress& progress);
+
+// The outline as it is seen or, where it does not show (a chrome ball mirrors at its rim what is
+// right behind it), as the hint has it, uncertain by 3 percent of the radius.
+Result<BallCone> outlineOf(const SketchOverview& overview, const CameraModel& model,
+                           const std::optional<BallHint>& hint);
 
 struct BallSketch {
   BallSetup setup;

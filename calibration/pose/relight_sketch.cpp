@@ -6,6 +6,7 @@
 #include <cmath>
 
 #include "calibration/model/lamp_position.h"
+#include "calibration/pose/ball_sketch.h"
 #include "capture/frame/file.h"
 
 namespace lightsketch {
@@ -68,6 +69,29 @@ std::optional<std::array<double, 3>> lampPower(const RadianceImage& image,
   return sum;
 }
 
+// The line of sight to the lamp that each frame's highlight means; frames without one lack it.
+Result<std::map<int, LampRay>> raysFromBall(const Sketch& sketch, const ReferenceBall& reference,
+                                            Progress& progress) {
+  const CheckCamera& camera = reference.camera;
+  const std::vector<int> ids = sketch.activeFrames();
+  ASSIGN_OR_RETURN(const SketchOverview overview, overviewOf(sketch, ids, progress));
+  ASSIGN_OR_RETURN(const BallCone cone, outlineOf(overview, *camera.model, reference.hint));
+  ASSIGN_OR_RETURN(const MirrorBall ball,
+                   ballFromOutline(camera.pose, *camera.model, cone, camera.ballRadiusMetres));
+  const Image<std::uint8_t> mask = ballMask(cone, *camera.model);
+  std::map<int, LampRay> rays;
+  for (std::size_t i = 0; i < ids.size(); ++i) {
+    if (progress.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
+    progress.update("looking for highlights", i, ids.size());
+    ASSIGN_OR_RETURN(const auto image, sketch.readFrame(ids[i]));
+    const auto highlight = findHighlight(image, overview.minimum, mask);
+    if (!highlight) continue;
+    const auto ray = rayFromHighlight(camera.pose, *camera.model, ball, highlight->place);
+    if (ray) rays[ids[i]] = *ray;
+  }
+  return rays;
+}
+
 }  // namespace
 
 Result<void> RelightSketchOptions::validate() const {
@@ -86,10 +110,11 @@ Result<void> RelightSketchOptions::validate() const {
 
 std::string RelightSummary::describe() const {
   return fmt::format(
-      "{} frames relit ({} by two or more cameras), {} refused; directions changed by {:.2f} "
+      "{} frames relit ({} triangulated, {} of them with a mirror ball), {} refused; directions "
+      "changed by {:.2f} "
       "degrees "
       "(median), {:.2f} at most, and are known to {:.2f}; lamp scale 1 at {:.2f} m",
-      relit, triangulated, refused.size(), medianChange.degrees(), largestChange.degrees(),
+      relit, triangulated, byBall, refused.size(), medianChange.degrees(), largestChange.degrees(),
       medianSigma.degrees(), referenceMetres);
 }
 
@@ -106,6 +131,11 @@ Result<RelightSummary> relightSketch(
                      "relight: the reference patch lies outside the pictures of {} x {} pixels",
                      sketch.manifest().width, sketch.manifest().height);
     }
+  }
+
+  std::map<int, LampRay> byBall;
+  if (options.ball) {
+    ASSIGN_OR_RETURN(byBall, raysFromBall(sketch, *options.ball, progress));
   }
 
   // Everything is known before anything is written.
@@ -142,6 +172,9 @@ Result<RelightSummary> relightSketch(
         rays.push_back(*ray);
       }
     }
+    const auto onBall = byBall.find(frame.id);
+    const bool withBall = rays.size() == 1 && onBall != byBall.end();
+    if (withBall) rays.push_back(onBall->second);
     if (rays.empty()) {
       summary.refused.push_back({frame.id, reason});
     } else if (rays.size() == 1) {
@@ -155,13 +188,13 @@ Result<RelightSummary> relightSketch(
       }
     } else if (lamp->probability < options.leastProbability) {
       summary.refused.push_back(
-          {frame.id,
-           fmt::format("the source cameras saw different lights (their lines of sight miss "
-                       "each other by {:.1f} sigmas)",
-                       std::sqrt(lamp->chiSquare / lamp->degreesOfFreedom))});
+          {frame.id, fmt::format("the cameras saw different lights (their lines of sight miss "
+                                 "each other by {:.1f} sigmas)",
+                                 std::sqrt(lamp->chiSquare / lamp->degreesOfFreedom))});
     } else {
       lights.push_back({frame.id, lightDirectionOf(*lamp), {}});
       distances.push_back(lamp->position.norm());
+      summary.byBall += withBall ? 1 : 0;
     }
   }
   if (!anyPixels) {

@@ -10,6 +10,7 @@
 
 #include "calibration/model/camera_model.h"
 #include "calibration/model/rig_geometry.h"
+#include "calibration/pose/check_directions.h"
 #include "capture/frame/angle.h"
 #include "capture/frame/progress.h"
 #include "capture/frame/result.h"
@@ -28,6 +29,12 @@ struct ReferencePatch {
   Eigen::Vector3d position = Eigen::Vector3d::Zero();  // metres
 };
 
+// A mirror ball in the pictures: a second line of sight where one source camera saw the lamp.
+struct ReferenceBall {
+  CheckCamera camera;  // the scene camera: lens, pose, the ball's radius
+  std::optional<BallHint> hint;  // to a few percent of the radius, see outlineOf()
+};
+
 struct RelightSketchOptions {
   // Distance of the lamp for frames that one camera saw; else the rig's, else the median of the
   // frames that two cameras saw, with their scatter as its error.
@@ -38,6 +45,7 @@ struct RelightSketchOptions {
   // Distance at which lampScale is 1; else the frames' median.
   std::optional<double> referenceMetres;
   std::optional<ReferencePatch> patch;
+  std::optional<ReferenceBall> ball;
   Result<void> validate() const;
 };
 
@@ -48,6 +56,7 @@ struct RelightSummary {
   };
   int relit = 0;
   int triangulated = 0;  // of them; the others by a distance
+  int byBall = 0;        // of the triangulated ones, by one source camera and the mirror ball
   double referenceMetres = 0;
   Angle medianChange;  // of the direction at the subject
   Angle largestChange;

@@ -608,6 +608,17 @@ Result<JobResult> applyCalibrationJob(const ApplyCalibrationJob& job, Progress& 
     const auto [x, y, width, height] = *job.patch;
     options.patch = ReferencePatch{x, y, width, height};
   }
+  std::shared_ptr<const CameraModel> sceneModel;
+  if (job.ballRadiusMetres > 0) {
+    if (job.sceneModel.empty()) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "calibrate apply: a mirror ball needs --scene-model");
+    }
+    ASSIGN_OR_RETURN(auto loaded, loadAnyCameraModel(job.sceneModel));
+    sceneModel = std::move(loaded.model);
+    options.ball = ReferenceBall{{sceneModel.get(), rig.sceneCamera, job.ballRadiusMetres}, {}};
+    if (job.ball) options.ball->hint = BallHint{{(*job.ball)[0], (*job.ball)[1]}, (*job.ball)[2]};
+  }
   ASSIGN_OR_RETURN(const RelightSummary summary,
                    relightSketch(sketch, byName, rig, options, progress));
   std::string text = summary.describe() + "\n";
@@ -617,6 +628,7 @@ Result<JobResult> applyCalibrationJob(const ApplyCalibrationJob& job, Progress& 
   return JobResult{text,
                    {{"relit", summary.relit},
                     {"triangulated", summary.triangulated},
+                    {"byBall", summary.byBall},
                     {"referenceMetres", summary.referenceMetres},
                     {"medianChangeDegrees", summary.medianChange.degrees()},
                     {"largestChangeDegrees", summary.largestChange.degrees()},

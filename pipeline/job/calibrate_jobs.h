@@ -96,6 +96,11 @@ struct ApplyCalibrationJob {
   std::filesystem::path rigGeometry;                // empty: the sketch's own
   std::optional<double> lampRadiusMetres;
   std::optional<std::array<int, 4>> patch;  // matte reference: x, y, width, height
+  // A mirror ball in the pictures, for frames that one source camera saw: rough outline (none:
+  // found), radius and the scene camera's model.
+  std::optional<std::array<double, 3>> ball;
+  double ballRadiusMetres = 0;  // 0: no ball
+  std::filesystem::path sceneModel;
 };
 Result<JobResult> applyCalibrationJob(const ApplyCalibrationJob& job, Progress& progress);
 
@@ -116,6 +121,7 @@ struct ResponseJob {
   std::filesystem::path diffuser;  // of an even diffuser
   // Or: a live camera, bracketed by this program from the shortest to the longest exposure.
   std::string camera;
+  std::optional<PixelFormat> format;  // that the camera is to send
   double shortestSeconds = 0.0005;
   double longestSeconds = 0.5;
   int framesPerExposure = 4;

@@ -103,6 +103,15 @@ Result<Pictures> takeLive(const ResponseJob& job, Progress& progress, const std:
     if (job.ask && job.ask(wish)) return {};
     return failure(ErrorCode::kCancelled, "calibrate response: given up");
   };
+  if (job.format) {
+    CameraSettings wanted;
+    wanted.format = job.format;
+    ASSIGN_OR_RETURN(const CameraSettings settings, camera->configure(wanted));
+    if (settings.format != job.format) {
+      return failure(ErrorCode::kInvalidArgument, "camera {} does not send {}", job.camera,
+                     pixelFormatInfo(*job.format).name);
+    }
+  }
   BracketCamera live(*camera);
   if (rig) {
     RETURN_IF_ERROR(camera->setFeature("RigProgram", static_cast<double>(RigProgram::kStill)));

@@ -17,6 +17,7 @@ usage() {
 ./run bench boards      boards found in two real fisheye sets, against OpenCV's searches
 ./run bench ball        directions and poses from mirror balls; the highlights of a real ball
 ./run bench radiometry  response and exposure merge against OpenCV's, simulated and on a real bracket
+./run bench response    the simulated rig's 8-bit camera, bracketed live: curve, hot pixels, vignetting against its truth
 ./run bench chain       the simulated rig from nothing: lenses, poses, recording; directions against its truth
 TEXT
 }
@@ -116,7 +117,7 @@ case "${1:-}" in
     trap '[ -z "$rig" ] || kill $rig 2>/dev/null; rm -rf "$work"' EXIT
     case $1 in kill) kill_recording ;; *) "$1" ;; esac
     ;;
-  lens | boards | radiometry | chain) bench_program "$@" ;;
+  lens | boards | radiometry | response | chain) bench_program "$@" ;;
   ball) bench_program mirror_ball ;;
   '') usage ;;
   *)

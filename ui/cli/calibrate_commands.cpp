@@ -295,6 +295,16 @@ void CalibrateCommands::addResponse(CLI::App& app) {
   command->add_option("--dark", response_.dark, "folder of pictures with the lens covered");
   command->add_option("--diffuser", response_.diffuser, "folder of pictures of an even diffuser");
   command->add_option("--camera", response_.camera, "take the bracket from this camera, live");
+  command->add_option_function<std::string>(
+      "--format",
+      [this](const std::string& name) {
+        response_.format = pixelFormatFromName(name);
+        if (!response_.format) {
+          throw CLI::ValidationError("expected a pixel format such as RGB8 or BayerRG12, not '" +
+                                     name + "'");
+        }
+      },
+      "live: pixel format that the camera is to send, such as BayerRG12");
   command->add_option("--shortest", response_.shortestSeconds, "live: shortest exposure, seconds")
       ->check(CLI::PositiveNumber)
       ->capture_default_str();
@@ -346,6 +356,19 @@ void CalibrateCommands::addApply(CLI::App& app) {
       },
       "a matte patch that faces +z, X,Y,WIDTH,HEIGHT in the scene picture: fixes the lamp's power "
       "per frame");
+  command->add_option_function<std::string>(
+      "--ball",
+      [this](const std::string& text) {
+        const auto v = numbers(text, 3, "X,Y,RADIUS in pixels");
+        apply_.ball = {v[0], v[1], v[2]};
+      },
+      "roughly where a mirror ball is in the scene picture; needed where it is not found by "
+      "itself");
+  command->add_option_function<double>(
+      "--ball-radius", [this](double mm) { apply_.ballRadiusMetres = mm / 1000; },
+      "its radius in millimetres: tells where the lamp was in frames that one source camera saw");
+  command->add_option("--scene-model", apply_.sceneModel,
+                      "camera file of the scene camera, for the ball");
   command->callback([this] {
     action_ = [this](ProgressBar& bar, const std::stop_token&) {
       return applyCalibrationJob(apply_, bar);

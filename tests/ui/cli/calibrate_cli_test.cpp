@@ -316,10 +316,11 @@ TEST_F(Calibrate, PoseRefusesWhatIsNotThere) {
           "scene");
 }
 
-TEST_F(Calibrate, RigWantsToKnowWhereTheSubjectIs) {
-  expectRefusal({"calibrate", "rig", "--scene", "aravis:127.0.0.99", "--source",
-                 "aravis:127.0.0.98", "--out", path("c"), "--quiet"},
-                "--flat-last");
+TEST_F(Calibrate, RigRefusesAFormerRigThatIsNotThereBeforeItOpensACamera) {
+  expectRefusal(
+      {"calibrate", "rig", "--scene", "aravis:127.0.0.99", "--source", "aravis:127.0.0.98",
+       "--scene-from", path("none.json"), "--out", path("c"), "--quiet"},
+      "none.json");
 }
 
 TEST_F(Calibrate, ApplyAndCheckRefuseWhatIsNotThere) {
