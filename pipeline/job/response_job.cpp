@@ -25,8 +25,19 @@ class BracketCamera {
   BracketCamera(const BracketCamera&) = delete;
   BracketCamera& operator=(const BracketCamera&) = delete;
 
-  Result<void> start() {
-    return camera_.start(
+  // Appends `count` frames exposed for `seconds`, from now on.
+  Result<void> take(double seconds, int count, std::stop_token stop, std::vector<Frame>& frames) {
+    // Stopped in between: the frame rate that a long exposure allows would make short ones slow.
+    camera_.stop();
+    CameraSettings wanted;
+    wanted.exposureSeconds = seconds;
+    wanted.framesPerSecond = std::min(10.0, 0.8 / seconds);
+    ASSIGN_OR_RETURN(const CameraSettings settings, camera_.configure(wanted));
+    {
+      const std::lock_guard lock(mutex_);
+      frames_.clear();
+    }
+    RETURN_IF_ERROR(camera_.start(
         [this](Frame&& frame) {
           {
             const std::lock_guard lock(mutex_);
@@ -40,15 +51,7 @@ class BracketCamera {
             end_ = error;
           }
           arrived_.notify_one();
-        });
-  }
-
-  // Appends `count` frames exposed for `seconds`, from now on.
-  Result<void> take(double seconds, int count, std::stop_token stop, std::vector<Frame>& frames) {
-    CameraSettings wanted;
-    wanted.exposureSeconds = seconds;
-    wanted.framesPerSecond = std::min(10.0, 0.8 / seconds);
-    ASSIGN_OR_RETURN(const CameraSettings settings, camera_.configure(wanted));
+        }));
     const double exposure = settings.exposureSeconds.value_or(seconds);
     const TimePoint since = Clock::now();
     TimePoint last = since;
@@ -116,7 +119,6 @@ Result<Pictures> takeLive(const ResponseJob& job, Progress& progress, const std:
   if (rig) {
     RETURN_IF_ERROR(camera->setFeature("RigProgram", static_cast<double>(RigProgram::kStill)));
   }
-  RETURN_IF_ERROR(live.start());
 
   const int steps =
       1 + static_cast<int>(std::ceil(std::log2(job.longestSeconds / job.shortestSeconds)));
