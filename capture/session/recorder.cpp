@@ -7,6 +7,7 @@
 #include <atomic>
 #include <cmath>
 #include <condition_variable>
+#include <iterator>
 #include <mutex>
 #include <thread>
 
@@ -33,8 +34,9 @@ constexpr double kDarkestNoise = 5e-4;  // the same of full scale, for a dark ro
 constexpr double kAmbientGivesUpSeconds = 15;
 constexpr double kAlignedSeconds = 0.003;  // a lamp at 28 degrees a second moves 0.08 meanwhile
 constexpr int kAlignments = 7;             // measurements, one more than starts
-constexpr double kAlignPatienceSeconds = kSilenceSeconds;  // for the first frames
-constexpr double kOutOfStepSeconds = 0.01;                 // worth a word
+constexpr double kAlignPatienceSeconds = kSilenceSeconds;            // for the first frames
+constexpr std::array<double, 4> kRoomExposures{1.0 / 16, 1, 8, 64};  // of the source exposure
+constexpr double kOutOfStepSeconds = 0.01;                           // worth a word
 
 // The ambient light: the mean of the darkest frames. Starts anew when it gets darker, so that
 // frames from before the lamp went off do not count.
@@ -180,6 +182,9 @@ struct SourceStream {
   std::atomic<Clock::rep> last{Clock::now().time_since_epoch().count()};
   std::atomic<Clock::rep> lastExposed{0};  // middle of the last frame's exposure; 0: none yet
   TimePoint started;                       // when its camera was told to
+  std::mutex mutex;                        // Guards collecting and collected.
+  double collecting = 0;                   // frames exposed for so many seconds are kept; 0: none
+  std::vector<Frame> collected;
   std::jthread thread;
 };
 
@@ -289,6 +294,7 @@ class Recording {
   }
   Result<void> startSource(SourceStream& source);
   Result<void> alignPhases(const std::stop_token& stop);
+  Result<void> measureRooms(const std::stop_token& stop);
   bool silent(const std::atomic<Clock::rep>& last) const {
     const double limit = kSilenceSeconds + 10 * options_.sceneExposureSeconds;
     return toSeconds(Clock::now() - TimePoint(TimePoint::duration(last.load()))) > limit;
@@ -359,6 +365,11 @@ class Recording {
 void Recording::trackSource(SourceStream& source) {
   while (auto frame = source.queue.pop()) {
     if (aligning_) continue;
+    // The last of the room's exposures.
+    if (!options_.bracket.empty() &&
+        frame->metadata.exposureSeconds > 1.5 * options_.sourceExposureSeconds) {
+      continue;
+    }
     if (ambientPhase_) {
       if (auto status = source.tracker.learnBackground(*frame); !status) {
         return fail(status.error());
@@ -651,6 +662,13 @@ Result<void> Recording::startSource(SourceStream& source) {
   source.started = Clock::now();
   return source.camera.start(
       [this, &source](Frame&& frame) {
+        {
+          const std::lock_guard lock(source.mutex);
+          if (std::abs(frame.metadata.exposureSeconds - source.collecting) <
+              0.01 * source.collecting) {
+            source.collected.push_back(frame);
+          }
+        }
         enqueue(source.queue, source.last, source.lastExposed, std::move(frame));
       },
       [this](const Error& error) { cameraEnded("source", error); });
@@ -698,6 +716,47 @@ Result<void> Recording::alignPhases(const std::stop_token& stop) {
   return {};
 }
 
+// With a bracket, what each source camera sees at first, lamp and room, as one HDR picture.
+Result<void> Recording::measureRooms(const std::stop_token& stop) {
+  if (options_.bracket.empty()) return {};
+  for (std::size_t i = 0; i < sources_.size(); ++i) {
+    SourceStream& source = *sources_[i];
+    const auto file = sketch_.folder() / fmt::format("room-{}.exr", i + 1);
+    if (!source.camera.isLive() || std::filesystem::exists(file)) continue;
+    CameraSettings settings;
+    std::vector<Frame> bracket;
+    for (const double factor : kRoomExposures) {
+      settings.exposureSeconds =
+          std::min(factor * options_.sourceExposureSeconds, 0.9 / options_.framesPerSecond);
+      ASSIGN_OR_RETURN(const CameraSettings now, source.camera.configure(settings));
+      {
+        const std::lock_guard lock(source.mutex);
+        source.collecting = now.exposureSeconds.value_or(*settings.exposureSeconds);
+      }
+      const TimePoint patience = Clock::now() + fromSeconds(kAlignPatienceSeconds);
+      for (bool enough = false; !enough && Clock::now() < patience;) {
+        if (stop.stop_requested() || progress_.cancelled()) break;
+        std::this_thread::sleep_for(std::chrono::milliseconds(5));
+        const std::lock_guard lock(source.mutex);
+        enough = source.collected.size() >= 2;
+      }
+      const std::lock_guard lock(source.mutex);
+      source.collecting = 0;
+      std::move(source.collected.begin(), source.collected.end(), std::back_inserter(bracket));
+      source.collected.clear();
+    }
+    settings.exposureSeconds = options_.sourceExposureSeconds;
+    RETURN_IF_ERROR(source.camera.configure(settings));
+    if (bracket.empty()) continue;  // silence is for run() to notice
+    MergeOptions merge;
+    merge.blackLevel = options_.sourceBlackLevel;
+    merge.referenceExposureSeconds = options_.sourceExposureSeconds;
+    ASSIGN_OR_RETURN(const RadianceMap room, mergeExposures(bracket, merge));
+    RETURN_IF_ERROR(writeExr(file, room.radiance));
+  }
+  return {};
+}
+
 Result<RecorderSummary> Recording::run(std::stop_token stop) {
   if (coverage_.capturedCount() >= wanted_) {
     ended_ = "nothing to do, the coverage goal was reached before";
@@ -738,6 +797,7 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
           [this](const Error& error) { cameraEnded("scene", error); });
     }
     if (started) started = alignPhases(stop);
+    if (started) started = measureRooms(stop);
     aligning_ = false;
     lastScene_ = Clock::now().time_since_epoch().count();
     for (const auto& source : sources_) source->last = lastScene_.load();

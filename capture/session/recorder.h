@@ -61,7 +61,8 @@ struct RecorderOptions {
   double ambientSeconds = 1.5;
   // Several exposures for each direction, as factors of sceneExposureSeconds, merged to one frame;
   // the lamp has to be held still for them. Empty: one exposure a frame. The longest must fit into
-  // the frame interval.
+  // the frame interval. With a bracket each source camera also takes one when it starts: room-N.exr
+  // in the sketch, lamp and room in linear radiance, 1.0 saturation at sourceExposureSeconds.
   std::vector<double> bracket;
   bool keepRaw = false;         // the sensor's counts beside each frame, frames/000123.raw.png
   bool subtractAmbient = true;  // else kept beside the frames

@@ -5,6 +5,7 @@
 //   frames.jsonl   the journal, append-only, an event a line, each closed by its own checksum
 //   frames/000123.exr   linear half RGB, light and exposure also in the header
 //   ambient.exr    the scene without the lamp (optional)
+//   room-1.exr     what the first source camera saw at the start, in HDR (with a bracket only)
 //   calibration/   camera models used
 //   lock           held by the one program that writes
 //

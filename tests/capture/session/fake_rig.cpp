@@ -99,7 +99,8 @@ class FakeCamera final : public Camera {
       }
       return frame;
     }
-    frame.bytes.assign(pixels, 12);
+    const double scale = frame.metadata.exposureSeconds / FakeRig::kSourceExposureSeconds;
+    frame.bytes.assign(pixels, static_cast<std::uint8_t>(std::lround(std::min(12 * scale, 255.0))));
     const RigGeometry geometry = rig_.geometry();
     const Eigen::Vector3d position = FakeRig::kLampRadius * lamp.direction;
     const auto centre =
@@ -109,7 +110,8 @@ class FakeCamera final : public Camera {
       for (int x = 0; x < kSourceSize; ++x) {
         const double r = std::hypot(x + 0.5 - centre->x(), y + 0.5 - centre->y());
         if (r > 20) continue;
-        const double value = 12 + 900 * std::clamp(3.5 - r, 0.0, 1.0) + 2000 / std::pow(2 + r, 3);
+        const double value =
+            scale * (12 + 900 * std::clamp(3.5 - r, 0.0, 1.0) + 2000 / std::pow(2 + r, 3));
         frame.bytes[static_cast<std::size_t>(y * kSourceSize + x)] =
             static_cast<std::uint8_t>(std::min(255.0, value));
       }

@@ -33,6 +33,7 @@ class FakeRig {
   static double lampCounts(const Eigen::Vector3d& direction) { return 90 + 60 * direction.x(); }
   static constexpr double kAmbientCounts = 20;
   static constexpr double kExposureSeconds = 0.002;  // these are counts of
+  static constexpr double kSourceExposureSeconds = 0.001;  // the source camera sees the room at 12
   static constexpr double kHighlight = 8;            // brighter is the pixel in the corner
 
   // Knobs, set before the cameras start or from any thread.

@@ -78,6 +78,11 @@ TEST_F(Recorder, MergesABracketWhileTheLampIsHeldStill) {
     EXPECT_GT(image(0, 0, 0), 1.5);  // far beyond saturation of one frame
     EXPECT_EQ(frame.gates["bracket"].size(), 3u);
   }
+  // The source camera's: the room to a fraction of a count, the lamp beyond saturation.
+  const auto room = readImage(folder_ / "room-1.exr");
+  ASSERT_TRUE(room) << room.error().message;
+  EXPECT_NEAR((*room)(2, 2, 0), 12.0 / 255, 0.1 / 255);
+  EXPECT_GT(*std::max_element(room->values().begin(), room->values().end()), 4.0f);
 }
 
 TEST_F(Recorder, CapturesTheWantedDirectionsWithTheirTrueLight) {
