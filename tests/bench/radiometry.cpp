@@ -258,7 +258,7 @@ void memorial(const std::filesystem::path& folder, const std::filesystem::path& 
     const double scaled = key * static_cast<double>(std::max(0.0f, v));
     v = static_cast<float>(scaled / (1 + scaled));
   }
-  if (writePng(png, map.radiance)) fmt::print("  tone-mapped: {}\n", png.string());
+  if (!png.empty() && writePng(png, map.radiance)) fmt::print("  tone-mapped: {}\n", png.string());
 }
 
 }  // namespace
@@ -267,7 +267,7 @@ int main(int argc, char** argv) {
   try {
     simulated();
     memorial(std::filesystem::path(LIGHTSKETCH_SOURCE_DIR) / "../shared/data/hdr/memorial",
-             argc > 1 ? argv[1] : "/tmp/memorial.png");
+             argc > 1 ? argv[1] : "");
   } catch (const std::exception& error) {
     fmt::print(stderr, "bench_radiometry: {}\n", error.what());
     return 1;
