@@ -7,6 +7,7 @@
 
 #include "calibration/model/fisheye_projection.h"
 #include "capture/frame/file.h"
+#include "capture/frame/html.h"
 
 namespace lightsketch {
 namespace {
@@ -86,32 +87,6 @@ footer { margin-top: 60px; color: var(--soft); font-size: 13px; border-top: 1px 
   * { print-color-adjust: exact; -webkit-print-color-adjust: exact; }
 }
 )css";
-
-std::string escaped(std::string_view text) {
-  std::string out;
-  for (const char c : text) {
-    switch (c) {
-      case '&':
-        out += "&amp;";
-        break;
-      case '<':
-        out += "&lt;";
-        break;
-      case '>':
-        out += "&gt;";
-        break;
-      case '"':
-        out += "&quot;";
-        break;
-      case '\'':
-        out += "&#39;";
-        break;
-      default:
-        out += c;
-    }
-  }
-  return out;
-}
 
 // Two digits that count.
 std::string degreesText(Angle angle) {
@@ -570,10 +545,10 @@ std::string viewTable(const LensCalibration& calibration) {
     rows += fmt::format(
         "<tr><td><code>{}</code></td><td>{}</td><td>{}</td><td>{}</td><td>{}</td>"
         "<td class=\"left{}\">{}</td></tr>\n",
-        escaped(view.name), view.corners.size(), used, degreesText(farthest) + "°",
+        htmlEscaped(view.name), view.corners.size(), used, degreesText(farthest) + "°",
         used > 0 ? fmt::format("{:.3f}", std::sqrt(squares / (2 * static_cast<double>(used))))
                  : std::string("&ndash;"),
-        view.rejected.empty() ? "" : " bad", escaped(view.rejected));
+        view.rejected.empty() ? "" : " bad", htmlEscaped(view.rejected));
   }
   return "<div class=\"wide\"><table>\n<thead><tr><th>view</th><th>corners<br>found</th><th>corners"
          "<br>used</th><th>out to</th><th>residual rms<br>pixels</th><th class=\"left\">thrown out"
@@ -592,8 +567,8 @@ std::string thrownCorners(const LensCalibration& calibration) {
       rows += fmt::format(
           "<tr><td><code>{}</code></td><td>{}, {}</td><td>{:.1f}, {:.1f}</td><td>{}°</td>"
           "<td>{:.2f}</td><td class=\"left\">{}</td></tr>\n",
-          escaped(view.name), corner.column, corner.row, corner.pixel.x(), corner.pixel.y(),
-          degreesText(corner.fieldAngle), corner.residual.norm(), escaped(corner.rejected));
+          htmlEscaped(view.name), corner.column, corner.row, corner.pixel.x(), corner.pixel.y(),
+          degreesText(corner.fieldAngle), corner.residual.norm(), htmlEscaped(corner.rejected));
     }
   }
   if (count == 0) return "<p>No single corner was thrown out.</p>\n";
@@ -627,7 +602,7 @@ std::string parameterTable(const FisheyeModel& model) {
 
 std::string list(const std::vector<std::string>& lines) {
   std::string items;
-  for (const std::string& line : lines) items += fmt::format("<li>{}</li>\n", escaped(line));
+  for (const std::string& line : lines) items += fmt::format("<li>{}</li>\n", htmlEscaped(line));
   return "<ul>\n" + items + "</ul>\n";
 }
 
@@ -655,7 +630,7 @@ std::string lensReportHtml(const LensReport& report) {
       "&rdquo;</h1>\n<p class=\"lead\">Inside the covered field{2} the direction of a pixel is "
       "known to <strong>{3}&thinsp;degrees</strong> (one sigma, rms over the field).{4} Beyond it "
       "nothing is known, and directions there are flagged.</p>\n</header>\n",
-      escaped(report.title), kStyle,
+      htmlEscaped(report.title), kStyle,
       covered.known ? fmt::format(", out to {}° to {}° off the axis depending on the side,",
                                   degreesText(covered.least), degreesText(covered.most))
                     : std::string(),
@@ -746,7 +721,7 @@ std::string lensReportHtml(const LensReport& report) {
         "<p>mrcal solved its own lens, <code>{}</code>, from the same corners: it differs by {} "
         "degrees rms and at most {} over the covered field. It shares the corners, so a mistake in "
         "the board does not show here.{}</p>\n",
-        escaped(report.mrcal->lens), degreesText(report.mrcal->rms),
+        htmlEscaped(report.mrcal->lens), degreesText(report.mrcal->rms),
         degreesText(report.mrcal->largest),
         model.values().pupilMetres == std::array<double, 2>{}
             ? ""
@@ -780,9 +755,9 @@ std::string lensReportHtml(const LensReport& report) {
         "</thead>\n<tbody>\n";
     for (const FamilyTrial& trial : calibration.trials) {
       page += fmt::format("<tr{}><td>{}</td><td>{:.3f}</td><td>{}</td><td>{}</td></tr>\n",
-                          trial.chosen ? " class=\"chosen\"" : "", escaped(describe(trial.family)),
-                          trial.heldOutPixels, degreesText(trial.splitHalf),
-                          trial.chosen ? "chosen" : "");
+                          trial.chosen ? " class=\"chosen\"" : "",
+                          htmlEscaped(describe(trial.family)), trial.heldOutPixels,
+                          degreesText(trial.splitHalf), trial.chosen ? "chosen" : "");
     }
     page += "</tbody>\n</table>\n</section>\n";
   }
@@ -795,7 +770,7 @@ std::string lensReportHtml(const LensReport& report) {
     if (picture.reason.empty()) continue;
     ++withoutCount;
     without += fmt::format("<tr><td><code>{}</code></td><td class=\"left\">{}</td></tr>\n",
-                           escaped(picture.view.name), escaped(picture.reason));
+                           htmlEscaped(picture.view.name), htmlEscaped(picture.reason));
   }
   if (withoutCount > 0) {
     page += fmt::format(
@@ -814,10 +789,10 @@ std::string lensReportHtml(const LensReport& report) {
       "(0.5, "
       "0.5). What the lens does beyond its equation: {} degrees, one sigma.</p>\n</div>\n</div>\n"
       "</section>\n<footer>{}</footer>\n</main>\n</body>\n</html>\n",
-      parameterTable(model), escaped(describe(calibration.family)), model.width(), model.height(),
-      1000 * calibration.warpMetres.x(), 1000 * calibration.warpMetres.y(),
+      parameterTable(model), htmlEscaped(describe(calibration.family)), model.width(),
+      model.height(), 1000 * calibration.warpMetres.x(), 1000 * calibration.warpMetres.y(),
       calibration.solveSeconds, degreesText(model.uncertainty().modelError),
-      escaped(report.software));
+      htmlEscaped(report.software));
   return page;
 }
 

@@ -13,6 +13,7 @@
 
 #include "capture/frame/angle.h"
 #include "capture/frame/file.h"
+#include "capture/frame/html.h"
 #include "capture/frame/json.h"
 #include "pipeline/sketch/image_file.h"
 
@@ -125,32 +126,6 @@ table.querySelectorAll('th').forEach((head, column) => head.addEventListener('cl
 }));
 )js";
 
-std::string escaped(std::string_view text) {
-  std::string out;
-  for (const char c : text) {
-    switch (c) {
-      case '&':
-        out += "&amp;";
-        break;
-      case '<':
-        out += "&lt;";
-        break;
-      case '>':
-        out += "&gt;";
-        break;
-      case '"':
-        out += "&quot;";
-        break;
-      case '\'':
-        out += "&#39;";
-        break;
-      default:
-        out += c;
-    }
-  }
-  return out;
-}
-
 std::string base64(std::string_view bytes) {
   static constexpr std::string_view kDigits =
       "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
@@ -191,7 +166,7 @@ std::string withThousands(std::uint64_t value) {
 
 std::string nameOf(const HeldOutLight& light) {
   return light.origin.empty() ? std::string()
-                              : fmt::format("<code>{}</code>", escaped(light.origin));
+                              : fmt::format("<code>{}</code>", htmlEscaped(light.origin));
 }
 
 // --- Colour of a PSNR
@@ -305,8 +280,9 @@ std::string map(const ValidationReport& report, const ColourScale& colour,
         "<a href=\"#{}-{}\"><circle class=\"dot\" cx=\"{:.1f}\" cy=\"{:.1f}\" r=\"{}\" "
         "fill=\"{}\"><title>light {}{}{}: {} dB{}</title></circle></a>\n",
         shown.contains(*at) ? "pictures" : "light", light.id, p.x(), p.y(), size,
-        colour(light.error.psnr), light.id, light.origin.empty() ? "" : ", ", escaped(light.origin),
-        psnrText(light.error), light.insideHull ? "" : ", outside the hull");
+        colour(light.error.psnr), light.id, light.origin.empty() ? "" : ", ",
+        htmlEscaped(light.origin), psnrText(light.error),
+        light.insideHull ? "" : ", outside the hull");
   }
 
   // Legend.
@@ -431,7 +407,7 @@ std::string noteRows(const Json& notes) {
     const std::string text = value.is_string()
                                  ? value.get<std::string>()
                                  : value.dump(-1, ' ', false, Json::error_handler_t::replace);
-    rows += factRow(escaped(key), fmt::format("<code>{}</code>", escaped(text)));
+    rows += factRow(htmlEscaped(key), fmt::format("<code>{}</code>", htmlEscaped(text)));
   }
   return rows;
 }
@@ -455,7 +431,7 @@ Result<std::string> html(const ValidationReport& report) {
       "<p class=\"lead\">{2} of {3} captures were held back. The model, made from the other {4}, "
       "predicts them with a mean PSNR of <strong>{5:.2f}&thinsp;dB</strong>; the worst "
       "is at {6:.2f}, the best at {7:.2f}.</p>\n</header>\n",
-      escaped(fileName(report.sketch)), kStyle, report.all.count,
+      htmlEscaped(fileName(report.sketch)), kStyle, report.all.count,
       report.all.count + report.captured, report.captured, report.all.psnr,
       report.worst().error.psnr, report.best().error.psnr);
 
@@ -536,7 +512,7 @@ Result<std::string> html(const ValidationReport& report) {
       "{:.2f}&thinsp;sr ({:.0f}&thinsp;% of a hemisphere).</p>\n<figure class=\"light\">\n"
       "<figcaption><strong>All lamps at once</strong> <span>PSNR {}{}</span> <span>SSIM {}</span> "
       "<span>relative error {}</span></figcaption>\n{}</figure>\n",
-      escaped(sum.environment), report.captured, sum.coveredSolidAngle,
+      htmlEscaped(sum.environment), report.captured, sum.coveredSolidAngle,
       100 * sum.coveredSolidAngle / (2 * std::numbers::pi), psnrText(sum.sameLamps),
       sum.sameLamps.identical ? "" : " dB", ssimText(sum.sameLamps.ssim),
       percent(sum.sameLamps.relative), sumPictures);
@@ -559,14 +535,14 @@ Result<std::string> html(const ValidationReport& report) {
       sum.linearity);
 
   page += "<section>\n<h2>How it was made</h2>\n<table class=\"facts\">\n<tbody>\n";
-  page += factRow("sketch", fmt::format("<code>{}</code>", escaped(report.sketch)));
+  page += factRow("sketch", fmt::format("<code>{}</code>", htmlEscaped(report.sketch)));
   if (!report.model.empty()) {
-    page += factRow("model", fmt::format("<code>{}</code>", escaped(report.model)));
+    page += factRow("model", fmt::format("<code>{}</code>", htmlEscaped(report.model)));
   }
   page += factRow("picture", fmt::format("{} &times; {} pixels", report.width, report.height));
   page += factRow("hold-out rule", fmt::format("<code>{}</code>; the model has seen none of these "
                                                "frames (checked by id)",
-                                               escaped(report.holdOutRule)));
+                                               htmlEscaped(report.holdOutRule)));
   page += factRow("made from", fmt::format("{} captures, held as {} lights", report.captured,
                                            report.modelLights));
   page += factRow(
@@ -575,7 +551,7 @@ Result<std::string> html(const ValidationReport& report) {
                   "coefficients per light and colour; stored as {3}",
                   report.blockSize, withThousands(static_cast<std::uint64_t>(report.basisRows)),
                   report.rank, report.storage));
-  page += factRow("between the lights", escaped(report.interpolation));
+  page += factRow("between the lights", htmlEscaped(report.interpolation));
   if (report.size) {
     page += factRow(
         "file", fmt::format("{} bytes, {:.2f} bits per pixel; {:.2f} : 1 of the captures in half "
@@ -583,7 +559,7 @@ Result<std::string> html(const ValidationReport& report) {
                             withThousands(report.size->bytes), report.size->bitsPerPixel,
                             report.size->ratioToHalf, report.size->ratioToFloat));
   }
-  page += factRow("software", escaped(report.software));
+  page += factRow("software", htmlEscaped(report.software));
   page += noteRows(report.modelNotes);
   page += "</tbody>\n</table>\n</section>\n";
 
