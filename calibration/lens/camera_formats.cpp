@@ -14,6 +14,7 @@
 #include "calibration/lens/foreign_lens.h"
 #include "calibration/lens/mrcal_spline.h"
 #include "calibration/model/fisheye_projection.h"
+#include "capture/frame/direction.h"
 #include "capture/frame/file.h"
 
 namespace lightsketch {
@@ -31,10 +32,6 @@ constexpr std::array<std::pair<CameraFormat, std::string_view>, 5> kNames{{
 }};
 
 constexpr Angle kRightAngle = Angle::degrees(90);
-
-Angle angleBetween(const Vector3d& a, const Vector3d& b) {
-  return Angle::radians(std::atan2(a.cross(b).norm(), a.dot(b)));
-}
 
 // --- Refits --------------------------------------------------------------------------------------
 

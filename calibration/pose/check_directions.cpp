@@ -5,15 +5,12 @@
 #include <cmath>
 
 #include "calibration/pose/ball_sketch.h"
+#include "capture/frame/direction.h"
 
 namespace lightsketch {
 namespace {
 
 using Eigen::Vector3d;
-
-Angle angleBetween(const Vector3d& a, const Vector3d& b) {
-  return Angle::radians(std::atan2(a.cross(b).norm(), a.dot(b)));
-}
 
 }  // namespace
 

@@ -7,6 +7,7 @@
 
 #include "calibration/model/lamp_position.h"
 #include "calibration/pose/ball_sketch.h"
+#include "capture/frame/direction.h"
 #include "capture/frame/file.h"
 
 namespace lightsketch {
@@ -288,7 +289,7 @@ Result<RelightSummary> relightSketch(
     }
     RETURN_IF_ERROR(sketch.relight(relit.id, relit.light, summary.calibrationId, scale));
     const Vector3d& now = relit.light.direction;
-    changes.push_back(std::atan2(before.cross(now).norm(), before.dot(now)));
+    changes.push_back(angleBetween(before, now).radians());
     sigmas.push_back(std::sqrt(relit.light.covariance.trace() / 2));
     ++summary.relit;
     progress.update("relighting", static_cast<std::size_t>(summary.relit), lights.size());

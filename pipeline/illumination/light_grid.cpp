@@ -5,6 +5,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "capture/frame/direction.h"
 #include "pipeline/illumination/nearest_direction.h"
 #include "pipeline/illumination/spherical_hull.h"
 
@@ -174,7 +175,7 @@ double reachFromSpacing(std::span<const Vector3d> lights, const NearestDirection
   for (const Vector3d& point : spiral(8000, -1)) {
     if (!hull.contains(point)) continue;
     const Vector3d& light = lights[static_cast<std::size_t>(nearest.nearest(point))];
-    distances.push_back(angleBetween(light, point));
+    distances.push_back(angleBetween(light, point).radians());
   }
   constexpr double kLoneReach = 15 * pi / 180;  // of lights that span no area
   if (distances.size() < 8) return kLoneReach;
@@ -235,8 +236,7 @@ Result<LightCells> LightCells::create(std::span<const Vector3d> lights,
 int LightCells::cellOf(const Vector3d& direction) const {
   if (hemisphereOnly_ && direction.z() < 0) return -1;
   const int light = nearest_->nearest(direction);
-  const bool reached =
-      angleBetween(lights_[static_cast<std::size_t>(light)], direction) <= reach_.radians();
+  const bool reached = angleBetween(lights_[static_cast<std::size_t>(light)], direction) <= reach_;
   return reached ? light : -1;
 }
 

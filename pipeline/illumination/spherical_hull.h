@@ -9,11 +9,6 @@
 
 namespace lightsketch {
 
-// Of two unit vectors, in radians; accurate for small angles too.
-inline double angleBetween(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
-  return 2 * std::atan2((a - b).norm(), (a + b).norm());
-}
-
 // The directions that are non-negative combinations of the given ones. Directions that fit into no
 // half space have the whole sphere as their hull.
 class SphericalHull {
