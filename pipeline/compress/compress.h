@@ -12,6 +12,7 @@
 #include "capture/frame/result.h"
 #include "pipeline/compress/model.h"
 #include "pipeline/compress/near_light.h"
+#include "pipeline/sketch/light_stack.h"
 #include "pipeline/sketch/sketch.h"
 
 namespace lightsketch {
@@ -77,6 +78,10 @@ struct CompressResult {
 // Uses all cores; the result depends on nothing but its input. Fails with kCancelled if `progress`
 // says so, with kIo if the scratch folder is full.
 Result<CompressResult> compress(const Sketch& sketch, const CompressOptions& options,
+                                Progress& progress);
+// The same from any stack, all of it; `options.holdOutRule` must be empty, and the model does not
+// say which sketch it is of.
+Result<CompressResult> compress(const LightStack& stack, const CompressOptions& options,
                                 Progress& progress);
 
 // Predicts pictures of this model under directions between its lights.

@@ -12,11 +12,13 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "capture/frame/json.h"
 #include "capture/frame/result.h"
+#include "pipeline/compress/factor_values.h"
 #include "pipeline/illumination/direction_interpolation.h"
 
 namespace lightsketch {
@@ -31,17 +33,46 @@ struct BlockLayout {
   int pixelsPerBlock() const { return blockSize * blockSize; }  // p
 };
 
-enum class Storage { kFloat32, kFloat16 };
-
 using RowMajorMatrixf = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
-struct RelightableModel {
+// The factorisation in plain numbers, as it is computed.
+struct Factors {
   BlockLayout layout;
   std::vector<std::int64_t> blockOffset;  // m + 1: first row of each block in E and U
   RowMajorMatrixf E;                      // rows x p
   RowMajorMatrixf U;                      // rows x q
   RowMajorMatrixf V;                      // q x 3n, column 3 i + c: light i, channel c
-  Storage storage = Storage::kFloat16;    // on disk
+};
+
+// How a model keeps its numbers, in memory as in the file.
+enum class Storage {
+  kFloat32,
+  kFloat16,
+  kQ8,      // E in int8 with a scale per row, U and V in half floats
+  kPacked,  // integers whose steps rate and distortion chose; in the file deflated
+};
+// As the command line and the file call it: "f32", "f16", "q8", "packed".
+const char* nameOf(Storage storage);
+
+// The number at index i is values.at(i) times its scale; without scales, 1.
+struct StoredFactor {
+  FactorValues values;
+  std::vector<float> scale;
+};
+
+struct RelightableModel {
+  BlockLayout layout;
+  std::vector<std::int64_t> blockOffset;  // as Factors
+  int rank = 0;                           // q
+
+  // The factors as the render kernels read them.
+  static constexpr int kPanelRows = 32;
+  StoredFactor E;  // rows x p, row by row; a scale per row
+  StoredFactor U;  // panels of 32 rows x q: row r, column k at ((r / 32) q + k) 32 + r % 32, rows
+                   // padded with zeros; a scale per column k
+  StoredFactor V;  // 3n x q (the transpose of the paper's V): light i, channel c, column k at
+                   // (3 i + c) q + k; a scale per k
+  Storage storage = Storage::kFloat16;
 
   std::vector<Eigen::Vector3d> lights;  // n, unit, scene frame
   std::vector<double> solidAngles;      // n, Voronoi cells in steradians
@@ -57,8 +88,19 @@ struct RelightableModel {
   Json notes = Json::object();  // figures of the compression
 
   int lightCount() const { return static_cast<int>(lights.size()); }
-  int rank() const { return static_cast<int>(V.rows()); }  // q
+  std::int64_t rows() const { return blockOffset.empty() ? 0 : blockOffset.back(); }
+  std::int64_t panels() const { return (rows() + kPanelRows - 1) / kPanelRows; }
+  // E, U and V in memory.
+  std::size_t factorBytes() const { return E.values.bytes() + U.values.bytes() + V.values.bytes(); }
 };
+
+// Keeps `factors` in the model as f32, f16 or q8 (std::logic_error for kPacked, whose steps are
+// chosen elsewhere). Sets layout, blocks, rank and storage, nothing else.
+void setFactors(RelightableModel& model, const Factors& factors, Storage storage);
+// The model's numbers in full, scales applied.
+Factors factorsOf(const RelightableModel& model);
+// Nothing, or why E, U and V, blocks, lights and scales do not fit each other.
+std::optional<std::string> misfitOf(const RelightableModel& model);
 
 // One HDF5 file, .lsd, readable by h5py and MATLAB. A checksum in the user block is verified before
 // libhdf5 sees the file; sizes are checked before anything is allocated. Atomic.

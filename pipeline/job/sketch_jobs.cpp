@@ -22,9 +22,9 @@ Result<JobResult> describeModel(const fs::path& file) {
                     {"lights", model.lightCount()},
                     {"captures", model.capturedIds.size()},
                     {"block", model.layout.blockSize},
-                    {"basisRows", model.E.rows()},
-                    {"rank", model.rank()},
-                    {"storage", model.storage == Storage::kFloat16 ? "f16" : "f32"},
+                    {"basisRows", model.rows()},
+                    {"rank", model.rank},
+                    {"storage", nameOf(model.storage)},
                     {"holdOut", model.holdOutRule},
                     {"heldOut", model.heldOutIds.size()},
                     {"bytes", bytes},
@@ -38,8 +38,8 @@ Result<JobResult> describeModel(const fs::path& file) {
       "  factors        {} x {} blocks, {} basis pictures in all, rank {}, {}\n"
       "  size           {:.2f} MB, {:.1f} bits a pixel\n  held out       {}\n  between lights {}",
       file.string(), model.layout.width, model.layout.height, model.lightCount(),
-      model.capturedIds.size(), model.layout.blockSize, model.layout.blockSize, model.E.rows(),
-      model.rank(), model.storage == Storage::kFloat16 ? "f16" : "f32", bytes / 1e6,
+      model.capturedIds.size(), model.layout.blockSize, model.layout.blockSize, model.rows(),
+      model.rank, nameOf(model.storage), bytes / 1e6,
       8 * bytes / pixels,
       model.holdOutRule.empty()
           ? std::string("nothing")

@@ -18,27 +18,12 @@ struct Rgb {
 };
 
 Result<void> checkShapes(const RelightableModel& model, const LightIntensities& intensities) {
-  const BlockLayout& layout = model.layout;
-  if (layout.width <= 0 || layout.height <= 0 || layout.blockSize <= 0) {
-    return failure(ErrorCode::kInvalidArgument,
-                   "model: picture of {} x {} pixels in blocks of {}; every one must be positive",
-                   layout.width, layout.height, layout.blockSize);
-  }
-  const auto& offset = model.blockOffset;
-  if (offset.size() != static_cast<std::size_t>(layout.blocks()) + 1 || offset.front() != 0 ||
-      !std::is_sorted(offset.begin(), offset.end()) || offset.back() != model.E.rows() ||
-      model.E.rows() != model.U.rows() || model.E.cols() != layout.pixelsPerBlock() ||
-      model.U.cols() != model.V.rows() || model.V.cols() % 3 != 0) {
-    return failure(ErrorCode::kInvalidArgument,
-                   "model: E {} x {}, U {} x {}, V {} x {} do not fit {} blocks of {} pixels; "
-                   "compress the sketch again",
-                   model.E.rows(), model.E.cols(), model.U.rows(), model.U.cols(), model.V.rows(),
-                   model.V.cols(), layout.blocks(), layout.pixelsPerBlock());
-  }
-  if (intensities.rows() * 3 != model.V.cols()) {
+  if (const auto misfit = misfitOf(model))
+    return failure(ErrorCode::kInvalidArgument, "model: {}", *misfit);
+  if (intensities.rows() != model.lightCount()) {
     return failure(ErrorCode::kInvalidArgument,
                    "relight: {} light intensities given, the model has {} lights",
-                   intensities.rows(), model.V.cols() / 3);
+                   intensities.rows(), model.lightCount());
   }
   return {};
 }
@@ -85,8 +70,7 @@ void addBasis(const float* basis, Rgb l, float* block, Eigen::Index pixels) {
 
 // v = V s, returned as its three channels one after the other. Touches only the lights that are on:
 // for a few lamps this reads a few columns of V instead of all of it.
-std::vector<float> lightTheBasis(const RelightableModel& model,
-                                 const LightIntensities& intensities) {
+std::vector<float> lightTheBasis(const Factors& model, const LightIntensities& intensities) {
   const Eigen::Index lights = intensities.rows();
   const Eigen::Index rank = model.V.rows();
   const Eigen::Matrix<float, Eigen::Dynamic, 3, Eigen::RowMajor> s = intensities;
@@ -123,9 +107,10 @@ std::vector<float> lightTheBasis(const RelightableModel& model,
 
 Result<RadianceImage> relight(const RelightableModel& model, const LightIntensities& intensities) {
   RETURN_IF_ERROR(checkShapes(model, intensities));
+  const Factors factors = factorsOf(model);
   const BlockLayout& layout = model.layout;
-  const std::vector<float> v = lightTheBasis(model, intensities);
-  const Eigen::Index rank = model.U.cols();
+  const std::vector<float> v = lightTheBasis(factors, intensities);
+  const Eigen::Index rank = factors.U.cols();
   const Eigen::Index pixels = layout.pixelsPerBlock();
   const int size = layout.blockSize;
 
@@ -138,8 +123,8 @@ Result<RadianceImage> relight(const RelightableModel& model, const LightIntensit
       const auto first = model.blockOffset[static_cast<std::size_t>(j)];
       const auto last = model.blockOffset[static_cast<std::size_t>(j) + 1];
       for (auto row = first; row < last; ++row) {
-        const Rgb l = dotRank(model.U.data() + row * rank, v.data(), rank);
-        addBasis(model.E.data() + row * pixels, l, block.data(), pixels);
+        const Rgb l = dotRank(factors.U.data() + row * rank, v.data(), rank);
+        addBasis(factors.E.data() + row * pixels, l, block.data(), pixels);
       }
       // Into the picture; what pads the rim falls away.
       const int x0 = (j % layout.columns()) * size;

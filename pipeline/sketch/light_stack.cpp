@@ -1,8 +1,25 @@
 #include "pipeline/sketch/light_stack.h"
 
+#include <numeric>
 #include <utility>
 
 namespace lightsketch {
+namespace {
+
+Result<RadianceImage> readFrame(const Sketch& sketch, int id, const RadianceImage& ambient) {
+  ASSIGN_OR_RETURN(auto image, sketch.readFrame(id));
+  const auto& scale = sketch.frames()[static_cast<std::size_t>(id)].lampScale;
+  const float factor[3] = {static_cast<float>(1 / scale[0]), static_cast<float>(1 / scale[1]),
+                           static_cast<float>(1 / scale[2])};
+  float* pixel = image.data();
+  for (std::size_t k = 0; k < image.size(); ++k) {
+    const float dark = ambient.empty() ? 0.0f : ambient.data()[k];
+    pixel[k] = (pixel[k] - dark) * factor[k % 3];
+  }
+  return image;
+}
+
+}  // namespace
 
 Result<LightStack> LightStack::create(const Sketch& sketch, std::vector<int> ids) {
   LightStack stack;
@@ -19,30 +36,31 @@ Result<LightStack> LightStack::create(const Sketch& sketch, std::vector<int> ids
     stack.directions_.push_back(record.light.direction);
     stack.positions_.push_back(record.light.position);
   }
-  stack.sketch_ = &sketch;
   stack.width_ = sketch.manifest().width;
   stack.height_ = sketch.manifest().height;
   stack.ids_ = std::move(ids);
+  RadianceImage ambient;  // empty if there is nothing to subtract
   if (!sketch.manifest().ambientSubtracted) {
-    ASSIGN_OR_RETURN(auto ambient, sketch.readAmbient());
-    if (ambient) stack.ambient_ = std::move(*ambient);
+    ASSIGN_OR_RETURN(auto recorded, sketch.readAmbient());
+    if (recorded) ambient = std::move(*recorded);
   }
+  stack.read_ = [&sketch, ids = stack.ids_, ambient = std::move(ambient)](int i) {
+    return readFrame(sketch, ids.at(static_cast<std::size_t>(i)), ambient);
+  };
   return stack;
 }
 
-Result<RadianceImage> LightStack::read(int i) const {
-  const int id = ids_.at(static_cast<std::size_t>(i));
-  ASSIGN_OR_RETURN(auto image, sketch_->readFrame(id));
-  const auto& scale = sketch_->frames()[static_cast<std::size_t>(id)].lampScale;
-  const float factor[3] = {static_cast<float>(1 / scale[0]), static_cast<float>(1 / scale[1]),
-                           static_cast<float>(1 / scale[2])};
-  float* pixel = image.data();
-  const float* ambient = ambient_.data();
-  for (std::size_t k = 0; k < image.size(); ++k) {
-    const float dark = ambient_.empty() ? 0.0f : ambient[k];
-    pixel[k] = (pixel[k] - dark) * factor[k % 3];
-  }
-  return image;
+LightStack LightStack::of(int width, int height, std::vector<Eigen::Vector3d> directions,
+                          Reader read) {
+  LightStack stack;
+  stack.width_ = width;
+  stack.height_ = height;
+  stack.ids_.resize(directions.size());
+  std::iota(stack.ids_.begin(), stack.ids_.end(), 0);
+  stack.positions_.resize(directions.size());
+  stack.directions_ = std::move(directions);
+  stack.read_ = std::move(read);
+  return stack;
 }
 
 }  // namespace lightsketch

@@ -414,10 +414,10 @@ Result<ValidationReport> validate(const Sketch& sketch, const RelightableModel& 
   report.height = model.layout.height;
   report.captured = static_cast<int>(model.capturedIds.size());
   report.modelLights = model.lightCount();
-  report.rank = model.rank();
-  report.basisRows = model.E.rows();
+  report.rank = model.rank;
+  report.basisRows = model.rows();
   report.blockSize = model.layout.blockSize;
-  report.storage = model.storage == Storage::kFloat16 ? "16-bit float" : "32-bit float";
+  report.storage = nameOf(model.storage);
   report.exposure = options.exposure;
   report.capturedDirections = model.capturedDirections;
   report.hull = hullOutline(captured, model.capturedDirections);

@@ -1,0 +1,51 @@
+// From the captured pictures to the pictures that are factored: as they are, or interpolated to a
+// denser grid of lights. Internal to this folder.
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "capture/frame/progress.h"
+#include "capture/frame/result.h"
+#include "pipeline/compress/compress.h"
+#include "pipeline/compress/scratch_stack.h"
+#include "pipeline/sketch/light_stack.h"
+
+namespace lightsketch {
+
+// Immutable, thread-safe. `stack` and `options.surface` must outlive it.
+class Densifier {
+ public:
+  static Result<Densifier> create(const LightStack& stack, const ScratchStack& scratch,
+                                  const BlockLayout& layout, const CompressOptions& options,
+                                  Progress& progress);
+
+  // The model's lights, N of them; the captured ones if it does nothing.
+  const std::vector<Eigen::Vector3d>& lights() const;
+  // Between the model's lights, in linear light.
+  const InterpolationSettings& interpolation() const;
+  // False: the pictures are the captured ones, and columns() only turns halfs into floats.
+  bool active() const;
+  // How the captured lights are interpolated, for people; empty if it does nothing.
+  const std::string& description() const;
+
+  // Kept by a thread from block to block.
+  struct Workspace {
+    std::vector<float> captured;  // n x 3 x p
+    RowMajorMatrixf weights;
+  };
+  // Block `block` under the model's lights, linear: N x 3 x p. `halfs`: under the captured ones,
+  // image i at halfs + i stride, 3 x p each.
+  Result<void> columns(int block, const std::uint16_t* halfs, std::size_t stride,
+                       Workspace& workspace, std::vector<float>& columns) const;
+
+ private:
+  struct State;
+  std::shared_ptr<const State> state_;
+};
+
+}  // namespace lightsketch
