@@ -105,6 +105,8 @@ std::optional<std::string> misfitOf(const RelightableModel& model);
 // One HDF5 file, .lsd, readable by h5py and MATLAB. A checksum in the user block is verified before
 // libhdf5 sees the file; sizes are checked before anything is allocated. Atomic.
 Result<void> saveModel(const RelightableModel& model, const std::filesystem::path& path);
+// Size of the file that saveModel would write.
+Result<std::size_t> savedBytes(const RelightableModel& model);
 Result<RelightableModel> loadModel(const std::filesystem::path& path);
 
 }  // namespace lightsketch

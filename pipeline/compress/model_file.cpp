@@ -1,12 +1,16 @@
-#include "pipeline/compress/model.h"
-
+// Models on disk. Plain ones (f32, f16, q8) lie in the file as they lie in memory, so that they are
+// read in place by all cores; packed ones are integer datasets that HDF5's shuffle and deflate make
+// small.
 #include <fcntl.h>
 #include <hdf5.h>
+#include <oneapi/tbb/parallel_for.h>
 #include <unistd.h>
 #include <xxhash.h>
+#include <zlib.h>
 
 #include <algorithm>
 #include <array>
+#include <atomic>
 #include <cerrno>
 #include <cmath>
 #include <cstdio>
@@ -14,27 +18,38 @@
 #include <memory>
 #include <mutex>
 #include <new>
+#include <optional>
 #include <span>
 #include <string_view>
 #include <utility>
 
 #include "capture/frame/file.h"
+#include "pipeline/compress/model.h"
 
 namespace lightsketch {
 namespace {
 
-constexpr int kFormatVersion = 1;
+namespace tbb = oneapi::tbb;
+
+constexpr int kFormatVersion = 2;
 constexpr const char* kFormat = "lightsketch-model";
-// HDF5 leaves this many bytes at the file's start to us: one line of text, then zeros.
+// HDF5 leaves this many bytes at the file's start to us: a line with magic, version and checksum, a
+// line of JSON that says where the factors lie, then zeros.
 constexpr hsize_t kUserBlock = 1024;
 constexpr const char* kReadMe =
-    "E: rows x p, orthonormal rows per block; U: rows x q; V: q x 3n (column 3 i + c: light i, "
-    "channel c). "
-    "Rows block_offset[j] to block_offset[j+1] belong to block j, row-major over the picture, "
-    "whose p pixels "
-    "are row-major. Under intensities s (n x 3): v = V[:, c::3] s[:, c]; block j, channel c = "
-    "E_j^T (U_j v). "
-    "Linear RGB.";
+    "Blocks are row-major over the picture, as are the p pixels of a block; block j has "
+    "block_rank[j] "
+    "basis pictures. Storage f32, f16, q8: E is rows x p, rows of a block together; U is panels x "
+    "q x 32 "
+    "(row r, column k: U[r // 32, k, r % 32]); V is 3n x q (row 3 i + c: light i, channel c). "
+    "Storage "
+    "packed: U is q x rows, V is q x 3n, and E's rows (with E_scale) come in the order of their "
+    "index "
+    "within the block, all blocks' first rows, then the second ones. Times E_scale per row, "
+    "U_scale and "
+    "V_scale per k, where there are any. Under intensities s (n x 3): v = sum_i V[3 i + c] s[i, "
+    "c]; "
+    "block j, channel c = E_j^T (U_j v). Linear RGB.";
 
 // The serial HDF5 library is not thread-safe.
 std::mutex& hdf5Mutex() {
@@ -59,8 +74,8 @@ class Handle {
   herr_t (*close_)(hid_t);
 };
 
-// IEEE 754 half, which h5py knows as float16. Conversion is ours: libhdf5 1.10 loses the carry into
-// the exponent when it rounds (0.24999 became 0.125).
+// IEEE 754 half, which h5py knows as float16. Never converted by libhdf5, whose 1.10 loses the
+// carry into the exponent when it rounds (0.24999 became 0.125).
 hid_t makeHalfType() {
   const hid_t type = H5Tcopy(H5T_IEEE_F32LE);
   H5Tset_fields(type, 15, 10, 5, 0, 10);
@@ -69,10 +84,101 @@ hid_t makeHalfType() {
   return type;
 }
 
-using HalfMatrix = Eigen::Matrix<Eigen::half, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
-constexpr float kLargestHalf = 65504;
+hid_t makeType(ElementType type) {
+  switch (type) {
+    case ElementType::kFloat32:
+      return H5Tcopy(H5T_IEEE_F32LE);
+    case ElementType::kFloat16:
+      return makeHalfType();
+    case ElementType::kInt8:
+      return H5Tcopy(H5T_STD_I8LE);
+    case ElementType::kInt16:
+      return H5Tcopy(H5T_STD_I16LE);
+  }
+  return -1;
+}
 
 using Shape = std::vector<hsize_t>;
+using Bytes = std::vector<std::byte>;
+
+// Rows of a packed dataset that one call of deflate sees: large enough that its tables do not
+// weigh, small enough that rows of other statistics have other tables.
+hsize_t rowsPerChunk(hsize_t rows, hsize_t rowBytes) {
+  constexpr hsize_t kBytes = hsize_t{1} << 15;
+  return std::clamp<hsize_t>((kBytes + rowBytes - 1) / std::max<hsize_t>(rowBytes, 1), 1,
+                             std::max<hsize_t>(rows, 1));
+}
+
+// HDF5's shuffle: all first bytes, then all second ones.
+void shuffle(std::span<const std::byte> in, std::size_t element, std::byte* out) {
+  const std::size_t count = in.size() / element;
+  for (std::size_t b = 0; b < element; ++b)
+    for (std::size_t i = 0; i < count; ++i) out[b * count + i] = in[i * element + b];
+}
+void unshuffle(std::span<const std::byte> in, std::size_t element, std::byte* out) {
+  const std::size_t count = in.size() / element;
+  for (std::size_t b = 0; b < element; ++b)
+    for (std::size_t i = 0; i < count; ++i) out[i * element + b] = in[b * count + i];
+}
+
+// Where the rows of E lie in a packed file: natural row of each, all blocks' first ones first.
+std::vector<std::size_t> packedRowOrder(const std::vector<std::int64_t>& blockOffset) {
+  std::vector<std::size_t> order;
+  for (std::int64_t k = 0; order.size() < static_cast<std::size_t>(blockOffset.back()); ++k) {
+    for (std::size_t j = 0; j + 1 < blockOffset.size(); ++j) {
+      if (blockOffset[j] + k < blockOffset[j + 1])
+        order.push_back(static_cast<std::size_t>(blockOffset[j] + k));
+    }
+  }
+  return order;
+}
+
+// The factors of a packed model between memory's order and the file's, a rectangle of numbers each.
+struct PackedE {
+  static constexpr const char* kName = "E";
+  template <class Model>
+  static auto& factor(Model& model) {
+    return model.E;
+  }
+  using Number = std::int8_t;
+  explicit PackedE(const RelightableModel& model)
+      : order(packedRowOrder(model.blockOffset)),
+        rows(order.size()),
+        columns(static_cast<std::size_t>(model.layout.pixelsPerBlock())) {}
+  std::size_t at(std::size_t row, std::size_t column) const {
+    return order[row] * columns + column;
+  }
+  std::vector<std::size_t> order;
+  std::size_t rows, columns;
+};
+struct PackedU {
+  static constexpr const char* kName = "U";
+  template <class Model>
+  static auto& factor(Model& model) {
+    return model.U;
+  }
+  using Number = std::int16_t;
+  explicit PackedU(const RelightableModel& model)
+      : rows(static_cast<std::size_t>(model.rank)),
+        columns(static_cast<std::size_t>(model.rows())) {}
+  std::size_t at(std::size_t k, std::size_t row) const {
+    constexpr std::size_t kPanel = RelightableModel::kPanelRows;
+    return (row / kPanel * rows + k) * kPanel + row % kPanel;
+  }
+  std::size_t rows, columns;
+};
+struct PackedV {
+  static constexpr const char* kName = "V";
+  template <class Model>
+  static auto& factor(Model& model) {
+    return model.V;
+  }
+  using Number = std::int16_t;
+  explicit PackedV(const RelightableModel& model)
+      : rows(static_cast<std::size_t>(model.rank)), columns(3 * model.lights.size()) {}
+  std::size_t at(std::size_t k, std::size_t column) const { return column * rows + k; }
+  std::size_t rows, columns;
+};
 
 // Writes datasets and attributes; the first failure makes all that follows void.
 class Writer {
@@ -80,25 +186,97 @@ class Writer {
   explicit Writer(hid_t file) : file_(file) {}
   bool ok() const { return ok_; }
 
-  void dataset(const char* name, const Shape& shape, hid_t storedType, hid_t memoryType,
-               const void* data) {
+  // As it is, in one piece. Returns the dataset's place behind the user block.
+  std::uint64_t plain(const char* name, const Shape& shape, hid_t type, const void* data) {
     const Handle space(H5Screate_simple(static_cast<int>(shape.size()), shape.data(), nullptr),
                        H5Sclose);
     const Handle properties(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
-    // Chunks of about 256 KiB of rows; shuffle and deflate gain 10 to 20 percent on half floats.
-    hsize_t rowBytes = H5Tget_size(storedType);
-    for (std::size_t k = 1; k < shape.size(); ++k) rowBytes *= shape[k];
-    if (*std::min_element(shape.begin(), shape.end()) > 0) {
-      Shape chunk = shape;
-      chunk[0] = std::clamp<hsize_t>((hsize_t{1} << 18) / rowBytes, 1, shape[0]);
-      check(H5Pset_chunk(properties, static_cast<int>(chunk.size()), chunk.data()));
+    const Handle set(H5Dcreate2(file_, name, type, space, H5P_DEFAULT, properties, H5P_DEFAULT),
+                     H5Dclose);
+    check(set);
+    if (ok_ && H5Sget_simple_extent_npoints(space) > 0)
+      check(H5Dwrite(set, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, data));
+    const haddr_t place = ok_ ? H5Dget_offset(set) : HADDR_UNDEF;
+    return place == HADDR_UNDEF ? 0 : place;
+  }
+
+  // Through shuffle and deflate, on all cores.
+  template <class Packed>
+  void packed(const Packed& order, const RelightableModel& model) {
+    using Number = typename Packed::Number;
+    const std::span<const Number> values = Packed::factor(model).values.template as<Number>();
+    const Handle type(makeType(sizeof(Number) == 1 ? ElementType::kInt8 : ElementType::kInt16),
+                      H5Tclose);
+    const Shape shape{order.rows, order.columns};
+    if (order.rows == 0 || order.columns == 0) {
+      plain(Packed::kName, shape, type, nullptr);
+      return;
+    }
+    const hsize_t step = rowsPerChunk(order.rows, order.columns * sizeof(Number));
+    const std::size_t chunks = (order.rows + step - 1) / step;
+    std::vector<Bytes> deflated(chunks);
+    tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) {
+      // Chunks are all of one size; the last is filled up with zeros.
+      std::vector<Number> numbers(step * order.columns, 0);
+      for (std::size_t i = 0; i < step && c * step + i < order.rows; ++i)
+        for (std::size_t k = 0; k < order.columns; ++k)
+          numbers[i * order.columns + k] = values[order.at(c * step + i, k)];
+      Bytes planes(numbers.size() * sizeof(Number));
+      shuffle(std::as_bytes(std::span(numbers)), sizeof(Number), planes.data());
+      uLongf size = compressBound(planes.size());
+      deflated[c].resize(size);
+      compress2(reinterpret_cast<Bytef*>(deflated[c].data()), &size,
+                reinterpret_cast<const Bytef*>(planes.data()), planes.size(), 9);
+      deflated[c].resize(size);
+    });
+    const Handle space(H5Screate_simple(2, shape.data(), nullptr), H5Sclose);
+    const Handle properties(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
+    const hsize_t chunkShape[] = {step, shape[1]};
+    check(H5Pset_chunk(properties, 2, chunkShape));
+    if (sizeof(Number) > 1) check(H5Pset_shuffle(properties));
+    check(H5Pset_deflate(properties, 9));
+    const Handle set(
+        H5Dcreate2(file_, Packed::kName, type, space, H5P_DEFAULT, properties, H5P_DEFAULT),
+        H5Dclose);
+    check(set);
+    for (std::size_t c = 0; c < chunks && ok_; ++c) {
+      const hsize_t place[] = {c * step, 0};
+      check(H5Dwrite_chunk(set, H5P_DEFAULT, 0, place, deflated[c].size(), deflated[c].data()));
+    }
+  }
+
+  // Short lists: through shuffle and deflate by libhdf5 where that is smaller than its bookkeeping.
+  template <class T>
+  void list(const char* name, const Shape& shape, hid_t storedType, hid_t memoryType,
+            const std::vector<T>& values) {
+    const Handle space(H5Screate_simple(static_cast<int>(shape.size()), shape.data(), nullptr),
+                       H5Sclose);
+    const Handle properties(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
+    constexpr std::size_t kSmall = 512;
+    if (values.size() * sizeof(T) > kSmall) {
+      check(H5Pset_chunk(properties, static_cast<int>(shape.size()), shape.data()));
       check(H5Pset_shuffle(properties));
-      check(H5Pset_deflate(properties, 1));
+      check(H5Pset_deflate(properties, 9));
+    } else {
+      check(H5Pset_layout(properties, H5D_COMPACT));
     }
     const Handle set(
         H5Dcreate2(file_, name, storedType, space, H5P_DEFAULT, properties, H5P_DEFAULT), H5Dclose);
     check(set);
-    if (ok_) check(H5Dwrite(set, memoryType, H5S_ALL, H5S_ALL, H5P_DEFAULT, data));
+    if (ok_ && !values.empty())
+      check(H5Dwrite(set, memoryType, H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data()));
+  }
+  void list(const char* name, const std::vector<float>& values) {
+    list(name, {values.size()}, H5T_IEEE_F32LE, H5T_NATIVE_FLOAT, values);
+  }
+  void list(const char* name, const std::vector<int>& values) {
+    list(name, {values.size()}, H5T_STD_I32LE, H5T_NATIVE_INT, values);
+  }
+  void directions(const char* name, const std::vector<Eigen::Vector3d>& values) {
+    std::vector<float> numbers;
+    for (const auto& d : values)
+      for (const double x : d) numbers.push_back(static_cast<float>(x));
+    list(name, {values.size(), 3}, H5T_IEEE_F32LE, H5T_NATIVE_FLOAT, numbers);
   }
 
   void text(const char* name, const std::string& value) {
@@ -126,25 +304,148 @@ class Writer {
   bool ok_ = true;
 };
 
-// XXH3 of everything after the user block.
-Result<std::string> checksumBehindUserBlock(int fd, const std::filesystem::path& path) {
-  std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(),
-                                                                 XXH3_freeState);
-  XXH3_64bits_reset(state.get());
-  std::vector<char> buffer(std::size_t{1} << 20);
-  off_t at = kUserBlock;
-  for (;;) {
-    const ssize_t count = ::pread(fd, buffer.data(), buffer.size(), at);
-    if (count < 0 && errno == EINTR) continue;
-    if (count < 0) {
-      return failure(ErrorCode::kIo, "{}: cannot read: {}", path.string(), systemMessage(errno));
-    }
-    if (count == 0) break;
-    XXH3_64bits_update(state.get(), buffer.data(), static_cast<std::size_t>(count));
-    at += count;
-  }
-  return fmt::format("{:016x}", XXH3_64bits_digest(state.get()));
+constexpr const char* kKernelNames[] = {"thinPlate", "linear", "cubic"};
+
+Json toJson(const InterpolationSettings& settings) {
+  return {{"kernel", kKernelNames[static_cast<int>(settings.kernel)]},
+          {"trendDegree", settings.trendDegree},
+          {"nugget", settings.nugget},
+          {"outsideClamp", settings.outsideClamp}};
 }
+
+Result<InterpolationSettings> interpolationFrom(const Json& json, const std::string& where) {
+  InterpolationSettings settings;
+  ASSIGN_OR_RETURN(const std::string name, jsonString(json, "kernel", where));
+  const auto kernel = std::find(std::begin(kKernelNames), std::end(kKernelNames), name);
+  if (kernel == std::end(kKernelNames)) {
+    return failure(ErrorCode::kUnsupported, "{}: interpolation kernel '{}' is unknown", where,
+                   name);
+  }
+  settings.kernel = static_cast<InterpolationSettings::Kernel>(kernel - std::begin(kKernelNames));
+  ASSIGN_OR_RETURN(const std::int64_t degree, jsonInteger(json, "trendDegree", where, 0, 3));
+  settings.trendDegree = static_cast<int>(degree);
+  ASSIGN_OR_RETURN(settings.nugget, jsonNumber(json, "nugget", where));
+  ASSIGN_OR_RETURN(settings.outsideClamp, jsonNumber(json, "outsideClamp", where));
+  return settings;
+}
+
+// --- The user block ------------------------------------------------------------------------------
+
+// One factor of a plain file: where its bytes lie.
+struct Place {
+  ElementType type = ElementType::kFloat32;
+  std::uint64_t offset = 0;
+  std::uint64_t bytes = 0;
+};
+using Places = std::array<Place, 3>;  // E, U, V
+constexpr const char* kFactorNames[] = {"E", "U", "V"};
+constexpr const char* kTypeNames[] = {"f32", "f16", "i8", "i16"};
+
+std::string placesLine(const std::optional<Places>& places) {
+  Json json = Json::object();
+  for (std::size_t i = 0; places && i < places->size(); ++i) {
+    const Place& place = (*places)[i];
+    json[kFactorNames[i]] = {kTypeNames[static_cast<int>(place.type)], place.offset, place.bytes};
+  }
+  return json.dump();
+}
+
+// What lies behind the user block is hashed in pieces, so that all cores can; XXH3 of the pieces'
+// XXH3 and of the line with the factors' places is the file's checksum.
+constexpr std::uint64_t kPiece = std::uint64_t{1} << 22;
+
+std::string checksumOf(const std::vector<std::uint64_t>& pieces, const std::string& places) {
+  XXH64_hash_t hash = XXH3_64bits(pieces.data(), pieces.size() * sizeof(std::uint64_t));
+  hash = XXH3_64bits_withSeed(places.data(), places.size(), hash);
+  return fmt::format("{:016x}", hash);
+}
+
+std::string userBlock(const std::string& checksum, const std::string& places) {
+  return fmt::format("{} {} xxh3 {}\n{}\n", kFormat, kFormatVersion, checksum, places);
+}
+
+// --- Writing -------------------------------------------------------------------------------------
+
+// The whole HDF5 file, built in memory: libhdf5 1.10 crashes when a disk fills up under it. Calls
+// use(bytes, places) with a zeroed user block in front. False if libhdf5 failed.
+template <class Use>
+bool buildFile(const RelightableModel& model, Use use) {
+  const Handle creation(H5Pcreate(H5P_FILE_CREATE), H5Pclose);
+  H5Pset_userblock(creation, kUserBlock);
+  const Handle access(H5Pcreate(H5P_FILE_ACCESS), H5Pclose);
+  // The newer format spends fewer bytes on bookkeeping; every HDF5 since 1.10 reads it.
+  H5Pset_libver_bounds(access, H5F_LIBVER_V110, H5F_LIBVER_V110);
+  const std::size_t increment =
+      std::max<std::size_t>(model.factorBytes() / 4, std::size_t{1} << 20);
+  H5Pset_fapl_core(access, increment, false);
+  const Handle file(H5Fcreate("model in memory", H5F_ACC_TRUNC, creation, access), H5Fclose);
+  if (!file) return false;
+  Writer writer(file);
+  std::optional<Places> places;
+  if (model.storage == Storage::kPacked) {
+    const PackedE order(model);
+    writer.packed(order, model);
+    writer.packed(PackedU(model), model);
+    writer.packed(PackedV(model), model);
+    std::vector<float> scale;
+    for (const std::size_t row : order.order) scale.push_back(model.E.scale[row]);
+    writer.list("E_scale", scale);
+  } else {
+    const auto q = static_cast<hsize_t>(model.rank);
+    const auto n = static_cast<hsize_t>(model.lightCount());
+    const StoredFactor* factors[] = {&model.E, &model.U, &model.V};
+    const Shape shapes[] = {
+        {static_cast<hsize_t>(model.rows()), static_cast<hsize_t>(model.layout.pixelsPerBlock())},
+        {static_cast<hsize_t>(model.panels()), q, hsize_t{RelightableModel::kPanelRows}},
+        {3 * n, q}};
+    places.emplace();
+    for (std::size_t i = 0; i < 3; ++i) {
+      const FactorValues& values = factors[i]->values;
+      const Handle type(makeType(values.type()), H5Tclose);
+      (*places)[i] = {values.type(), writer.plain(kFactorNames[i], shapes[i], type, values.data()),
+                      values.bytes()};
+    }
+    if (!model.E.scale.empty()) writer.list("E_scale", model.E.scale);
+  }
+  if (!model.U.scale.empty()) writer.list("U_scale", model.U.scale);
+  if (!model.V.scale.empty()) writer.list("V_scale", model.V.scale);
+  std::vector<int> ranks;
+  for (std::size_t j = 0; j + 1 < model.blockOffset.size(); ++j)
+    ranks.push_back(static_cast<int>(model.blockOffset[j + 1] - model.blockOffset[j]));
+  writer.list("block_rank", ranks);
+  writer.directions("light_directions", model.lights);
+  writer.list("solid_angles",
+              std::vector<float>(model.solidAngles.begin(), model.solidAngles.end()));
+  writer.list("captured_ids", model.capturedIds);
+  writer.directions("captured_directions", model.capturedDirections);
+  writer.list("held_out_ids", model.heldOutIds);
+  writer.text("format", kFormat);
+  writer.integer("formatVersion", kFormatVersion);
+  writer.text("readme", kReadMe);
+  writer.text("storage", nameOf(model.storage));
+  writer.integer("width", model.layout.width);
+  writer.integer("height", model.layout.height);
+  writer.integer("blockSize", model.layout.blockSize);
+  writer.text("interpolation", toJson(model.interpolation).dump());
+  writer.text("holdOutRule", model.holdOutRule);
+  writer.text("sketch", model.sketch);
+  writer.text("software", model.software);
+  writer.text("notes", model.notes.dump());
+  void* handle = nullptr;
+  if (!writer.ok() || H5Fflush(file, H5F_SCOPE_GLOBAL) < 0 ||
+      H5Fget_vfd_handle(file, access, &handle) < 0) {
+    return false;
+  }
+  // The buffer is larger than the file; the image's size is without the user block.
+  const ssize_t image = H5Fget_file_image(file, nullptr, 0);
+  if (image <= 0) return false;
+  use(std::span(static_cast<char*>(*static_cast<void**>(handle)),
+                kUserBlock + static_cast<std::size_t>(image)),
+      places);
+  return true;
+}
+
+// --- Reading -------------------------------------------------------------------------------------
 
 class Descriptor {
  public:
@@ -159,6 +460,154 @@ class Descriptor {
  private:
   int fd_;
 };
+
+int readAll(int fd, void* to, std::uint64_t count, std::uint64_t at) {
+  auto* bytes = static_cast<char*>(to);
+  while (count > 0) {
+    const ssize_t done = ::pread(fd, bytes, count, static_cast<off_t>(at));
+    if (done < 0 && errno == EINTR) continue;
+    if (done < 0) return errno;
+    if (done == 0) return EIO;
+    bytes += done;
+    at += static_cast<std::uint64_t>(done);
+    count -= static_cast<std::uint64_t>(done);
+  }
+  return 0;
+}
+
+// What the user block says, before libhdf5 has seen the file.
+struct Head {
+  int version = 0;
+  std::uint64_t fileBytes = 0;
+  std::string checksum;
+  std::string placesLine;
+  std::optional<Places> places;  // of a plain file
+};
+
+std::optional<ElementType> elementTypeNamed(const std::string& name) {
+  for (std::size_t i = 0; i < std::size(kTypeNames); ++i)
+    if (name == kTypeNames[i]) return static_cast<ElementType>(i);
+  return std::nullopt;
+}
+
+// The factors' places, if they are three ranges of whole numbers inside the file.
+std::optional<Places> placesFrom(const Json& json, std::uint64_t fileBytes) {
+  Places places;
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    const auto entry = json.find(kFactorNames[i]);
+    if (entry == json.end() || !entry->is_array() || entry->size() != 3 ||
+        !(*entry)[0].is_string() || !(*entry)[1].is_number_unsigned() ||
+        !(*entry)[2].is_number_unsigned()) {
+      return std::nullopt;
+    }
+    const auto type = elementTypeNamed((*entry)[0].get<std::string>());
+    if (!type) return std::nullopt;
+    places[i] = {*type, (*entry)[1].get<std::uint64_t>(), (*entry)[2].get<std::uint64_t>()};
+    if (places[i].bytes % bytesOf(*type) != 0 || places[i].bytes > fileBytes ||
+        places[i].offset > fileBytes - places[i].bytes ||
+        (places[i].bytes > 0 && places[i].offset < kUserBlock)) {
+      return std::nullopt;
+    }
+  }
+  return places;
+}
+
+Result<Head> readHead(int fd, const std::filesystem::path& path) {
+  std::array<char, kUserBlock> block{};
+  const ssize_t count = ::pread(fd, block.data(), block.size() - 1, 0);
+  if (count < 0) {
+    return failure(ErrorCode::kIo, "{}: cannot read: {}", path.string(), systemMessage(errno));
+  }
+  Head head;
+  char found[17] = {};
+  const int fields =
+      std::sscanf(block.data(), "lightsketch-model %d xxh3 %16[0-9a-f]", &head.version, found);
+  if (fields < 1) {
+    return failure(ErrorCode::kCorrupt, "{}: not a lightsketch model, or its beginning is damaged",
+                   path.string());
+  }
+  if (head.version > kFormatVersion) {
+    return failure(
+        ErrorCode::kUnsupported,
+        "{}: format version {} is newer than {}, the newest that this program reads; update it",
+        path.string(), head.version, kFormatVersion);
+  }
+  const auto damaged = [&] {
+    return failure(ErrorCode::kCorrupt,
+                   "{}: damaged or truncated: its content does not have the checksum it should",
+                   path.string());
+  };
+  const off_t size = ::lseek(fd, 0, SEEK_END);
+  if (fields != 2 || head.version < 1 || size < static_cast<off_t>(kUserBlock)) return damaged();
+  head.fileBytes = static_cast<std::uint64_t>(size);
+  head.checksum = found;
+  if (head.version == 1) return head;
+  const std::string text(block.data());
+  const std::size_t lineEnd = text.find('\n');
+  const std::size_t secondEnd =
+      lineEnd == std::string::npos ? lineEnd : text.find('\n', lineEnd + 1);
+  if (secondEnd == std::string::npos) return damaged();
+  head.placesLine = text.substr(lineEnd + 1, secondEnd - lineEnd - 1);
+  if (userBlock(head.checksum, head.placesLine) != text) return damaged();
+  const Json json = Json::parse(head.placesLine, nullptr, false);
+  if (!json.is_object()) return damaged();
+  if (!json.empty()) {
+    head.places = placesFrom(json, head.fileBytes);
+    if (!head.places) return damaged();
+  }
+  return head;
+}
+
+// Reads everything behind the user block once, all cores, factors straight to where they stay, and
+// compares the checksum.
+Result<void> readAndVerify(int fd, const Head& head, const std::filesystem::path& path,
+                           std::array<FactorValues, 3>& factors) {
+  for (std::size_t i = 0; head.places && i < factors.size(); ++i) {
+    const Place& place = (*head.places)[i];
+    factors[i] = FactorValues(place.type, place.bytes / bytesOf(place.type));
+  }
+  const std::uint64_t pieces = (head.fileBytes - kUserBlock + kPiece - 1) / kPiece;
+  std::vector<std::uint64_t> hashes(pieces);
+  std::atomic<int> error = 0;
+  tbb::parallel_for(std::uint64_t{0}, pieces, [&](std::uint64_t k) {
+    const auto end = std::min<std::uint64_t>(head.fileBytes, kUserBlock + (k + 1) * kPiece);
+    const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(),
+                                                                         XXH3_freeState);
+    XXH3_64bits_reset(state.get());
+    Bytes other;
+    for (std::uint64_t at = kUserBlock + k * kPiece; at < end && error == 0;) {
+      // Up to where the next factor begins or this one ends.
+      std::uint64_t until = std::min(end, at + (std::uint64_t{1} << 18));
+      std::byte* to = nullptr;
+      for (std::size_t i = 0; head.places && i < factors.size(); ++i) {
+        const Place& place = (*head.places)[i];
+        if (at >= place.offset && at < place.offset + place.bytes) {
+          to = factors[i].data() + (at - place.offset);
+          until = std::min(until, place.offset + place.bytes);
+        } else if (at < place.offset) {
+          until = std::min(until, place.offset);
+        }
+      }
+      if (!to) {
+        other.resize(until - at);
+        to = other.data();
+      }
+      if (const int failed = readAll(fd, to, until - at, at)) error = failed;
+      XXH3_64bits_update(state.get(), to, until - at);
+      at = until;
+    }
+    hashes[k] = XXH3_64bits_digest(state.get());
+  });
+  if (error != 0) {
+    return failure(ErrorCode::kIo, "{}: cannot read: {}", path.string(), systemMessage(error));
+  }
+  if (checksumOf(hashes, head.placesLine) != head.checksum) {
+    return failure(ErrorCode::kCorrupt,
+                   "{}: damaged or truncated: its content does not have the checksum it should",
+                   path.string());
+  }
+  return {};
+}
 
 // Reads datasets and attributes, checked for shape before anything is allocated.
 class Reader {
@@ -195,28 +644,7 @@ class Reader {
     return {};
   }
 
-  Result<RowMajorMatrixf> matrix(const char* name) {
-    ASSIGN_OR_RETURN(const Shape extents, shape(name, 2));
-    RowMajorMatrixf values2d(static_cast<Eigen::Index>(extents[0]),
-                             static_cast<Eigen::Index>(extents[1]));
-    if (storage(name) == Storage::kFloat16) {
-      const Handle half(makeHalfType(), H5Tclose);
-      HalfMatrix halfs(values2d.rows(), values2d.cols());
-      RETURN_IF_ERROR(values(name, half, halfs.data()));
-      values2d = halfs.cast<float>();
-    } else {
-      RETURN_IF_ERROR(values(name, H5T_NATIVE_FLOAT, values2d.data()));
-    }
-    if (!values2d.allFinite())
-      return failure(ErrorCode::kCorrupt, "{}: dataset {} is not finite", where_, name);
-    return values2d;
-  }
-
-  Storage storage(const char* name) {
-    const Handle set(H5Dopen2(file_, name, H5P_DEFAULT), H5Dclose);
-    const Handle type(H5Dget_type(set), H5Tclose);
-    return H5Tget_size(type) == 2 ? Storage::kFloat16 : Storage::kFloat32;
-  }
+  hid_t file() const { return file_; }
 
   template <class T>
   Result<std::vector<T>> list(const char* name, hid_t memoryType) {
@@ -232,12 +660,22 @@ class Reader {
       return failure(ErrorCode::kCorrupt, "{}: dataset {} is not n x 3", where_, name);
     std::vector<Eigen::Vector3d> result(extents[0]);
     if (!result.empty()) RETURN_IF_ERROR(values(name, H5T_NATIVE_DOUBLE, result.data()));
-    for (const auto& d : result) {
+    for (auto& d : result) {
       if (!(std::abs(d.norm() - 1) < 1e-6)) {
         return failure(ErrorCode::kCorrupt,
                        "{}: dataset {} holds a direction that is not of unit length", where_, name);
       }
+      d.normalize();
     }
+    return result;
+  }
+
+  // Empty if the dataset is not there.
+  Result<std::vector<float>> scales(const char* name) {
+    if (H5Lexists(file_, name, H5P_DEFAULT) <= 0) return std::vector<float>();
+    ASSIGN_OR_RETURN(auto result, list<float>(name, H5T_NATIVE_FLOAT));
+    if (!std::all_of(result.begin(), result.end(), [](float x) { return std::isfinite(x); }))
+      return failure(ErrorCode::kCorrupt, "{}: dataset {} is not finite", where_, name);
     return result;
   }
 
@@ -280,219 +718,288 @@ class Reader {
   std::uint64_t maxBytes_;
 };
 
-constexpr const char* kKernelNames[] = {"thinPlate", "linear", "cubic"};
-
-Json toJson(const InterpolationSettings& settings) {
-  return {{"kernel", kKernelNames[static_cast<int>(settings.kernel)]},
-          {"trendDegree", settings.trendDegree},
-          {"nugget", settings.nugget},
-          {"outsideClamp", settings.outsideClamp}};
-}
-
-Result<InterpolationSettings> interpolationFrom(const Json& json, const std::string& where) {
-  InterpolationSettings settings;
-  ASSIGN_OR_RETURN(const std::string name, jsonString(json, "kernel", where));
-  const auto kernel = std::find(std::begin(kKernelNames), std::end(kKernelNames), name);
-  if (kernel == std::end(kKernelNames)) {
-    return failure(ErrorCode::kUnsupported, "{}: interpolation kernel '{}' is unknown", where,
-                   name);
+// A packed factor into memory's order: chunks read one after the other, inflated by all cores.
+template <class Packed>
+Result<void> readPacked(Reader& reader, const Packed& order, RelightableModel& model,
+                        const std::string& where) {
+  using Number = typename Packed::Number;
+  StoredFactor& factor = Packed::factor(model);
+  const std::size_t stored =
+      std::is_same_v<Packed, PackedU>
+          ? static_cast<std::size_t>(model.panels()) * RelightableModel::kPanelRows * order.rows
+          : order.rows * order.columns;
+  factor.values =
+      FactorValues(sizeof(Number) == 1 ? ElementType::kInt8 : ElementType::kInt16, stored);
+  if (order.rows == 0 || order.columns == 0) return {};
+  const auto refuse = [&] {
+    return failure(ErrorCode::kCorrupt, "{}: dataset {} cannot be read", where, Packed::kName);
+  };
+  const Handle set(H5Dopen2(reader.file(), Packed::kName, H5P_DEFAULT), H5Dclose);
+  const Handle type(set ? H5Dget_type(set) : -1, H5Tclose);
+  const Handle properties(set ? H5Dget_create_plist(set) : -1, H5Pclose);
+  Shape chunk(2);
+  if (!type || !properties || H5Tget_class(type) != H5T_INTEGER ||
+      H5Tget_size(type) != sizeof(Number) || H5Pget_layout(properties) != H5D_CHUNKED ||
+      H5Pget_chunk(properties, 2, chunk.data()) != 2 || chunk[0] < 1 || chunk[1] != order.columns ||
+      chunk[0] > order.rows || H5Pget_nfilters(properties) != (sizeof(Number) > 1 ? 2 : 1)) {
+    return refuse();
   }
-  settings.kernel = static_cast<InterpolationSettings::Kernel>(kernel - std::begin(kKernelNames));
-  ASSIGN_OR_RETURN(const std::int64_t degree, jsonInteger(json, "trendDegree", where, 0, 3));
-  settings.trendDegree = static_cast<int>(degree);
-  ASSIGN_OR_RETURN(settings.nugget, jsonNumber(json, "nugget", where));
-  ASSIGN_OR_RETURN(settings.outsideClamp, jsonNumber(json, "outsideClamp", where));
-  return settings;
-}
-
-// The whole HDF5 file, built in memory: libhdf5 1.10 crashes when a disk fills up under it. Calls
-// use(bytes) with a zeroed user block in front. False if libhdf5 failed.
-template <class Use>
-bool buildFile(const RelightableModel& model, Use use) {
-  const Factors factors = factorsOf(model);
-  const Handle creation(H5Pcreate(H5P_FILE_CREATE), H5Pclose);
-  H5Pset_userblock(creation, kUserBlock);
-  const Handle access(H5Pcreate(H5P_FILE_ACCESS), H5Pclose);
-  constexpr std::size_t kIncrement = std::size_t{1} << 24;
-  H5Pset_fapl_core(access, kIncrement, false);
-  const Handle file(H5Fcreate("model in memory", H5F_ACC_TRUNC, creation, access), H5Fclose);
-  if (!file) return false;
-  Writer writer(file);
-  const Handle half(makeHalfType(), H5Tclose);
-  const auto matrix = [&](const char* name, const RowMajorMatrixf& values) {
-    const Shape shape{static_cast<hsize_t>(values.rows()), static_cast<hsize_t>(values.cols())};
-    if (model.storage == Storage::kFloat16) {
-      const HalfMatrix halfs =
-          values.cwiseMax(-kLargestHalf).cwiseMin(kLargestHalf).cast<Eigen::half>();
-      writer.dataset(name, shape, half, half, halfs.data());
-    } else {
-      writer.dataset(name, shape, H5T_IEEE_F32LE, H5T_NATIVE_FLOAT, values.data());
+  const std::size_t chunks = (order.rows + chunk[0] - 1) / chunk[0];
+  const std::size_t chunkBytes = chunk[0] * chunk[1] * sizeof(Number);
+  std::vector<Bytes> deflated(chunks);
+  for (std::size_t c = 0; c < chunks; ++c) {
+    const hsize_t place[] = {c * chunk[0], 0};
+    hsize_t bytes = 0;
+    std::uint32_t filters = 0;
+    if (H5Dget_chunk_storage_size(set, place, &bytes) < 0 ||
+        bytes > chunkBytes + chunkBytes / 8 + 64)
+      return refuse();
+    deflated[c].resize(bytes);
+    if (H5Dread_chunk(set, H5P_DEFAULT, place, &filters, deflated[c].data()) < 0 || filters != 0)
+      return refuse();
+  }
+  const std::span<Number> values = factor.values.template as<Number>();
+  std::atomic<bool> failed = false;
+  tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) {
+    Bytes planes(chunkBytes);
+    uLongf size = chunkBytes;
+    if (uncompress(reinterpret_cast<Bytef*>(planes.data()), &size,
+                   reinterpret_cast<const Bytef*>(deflated[c].data()),
+                   deflated[c].size()) != Z_OK ||
+        size != chunkBytes) {
+      failed = true;
+      return;
     }
-  };
-  const auto integers = [&](const char* name, const std::vector<int>& values) {
-    writer.dataset(name, {values.size()}, H5T_STD_I32LE, H5T_NATIVE_INT, values.data());
-  };
-  const auto directions = [&](const char* name, const std::vector<Eigen::Vector3d>& values) {
-    static_assert(sizeof(Eigen::Vector3d) == 3 * sizeof(double));
-    writer.dataset(name, {values.size(), 3}, H5T_IEEE_F64LE, H5T_NATIVE_DOUBLE, values.data());
-  };
-  matrix("E", factors.E);
-  matrix("U", factors.U);
-  matrix("V", factors.V);
-  writer.dataset("block_offset", {model.blockOffset.size()}, H5T_STD_I64LE, H5T_NATIVE_INT64,
-                 model.blockOffset.data());
-  directions("light_directions", model.lights);
-  writer.dataset("solid_angles", {model.solidAngles.size()}, H5T_IEEE_F64LE, H5T_NATIVE_DOUBLE,
-                 model.solidAngles.data());
-  integers("captured_ids", model.capturedIds);
-  directions("captured_directions", model.capturedDirections);
-  integers("held_out_ids", model.heldOutIds);
-  writer.text("format", kFormat);
-  writer.integer("formatVersion", kFormatVersion);
-  writer.text("readme", kReadMe);
-  writer.integer("width", model.layout.width);
-  writer.integer("height", model.layout.height);
-  writer.integer("blockSize", model.layout.blockSize);
-  writer.text("interpolation", toJson(model.interpolation).dump());
-  writer.text("holdOutRule", model.holdOutRule);
-  writer.text("sketch", model.sketch);
-  writer.text("software", model.software);
-  writer.text("notes", model.notes.dump());
-  void* handle = nullptr;
-  if (!writer.ok() || H5Fflush(file, H5F_SCOPE_GLOBAL) < 0 ||
-      H5Fget_vfd_handle(file, access, &handle) < 0) {
-    return false;
-  }
-  // The buffer is larger than the file; the image's size is without the user block.
-  const ssize_t image = H5Fget_file_image(file, nullptr, 0);
-  if (image <= 0) return false;
-  use(std::span(static_cast<char*>(*static_cast<void**>(handle)),
-                kUserBlock + static_cast<std::size_t>(image)));
-  return true;
+    std::vector<Number> numbers(chunk[0] * chunk[1]);
+    unshuffle(planes, sizeof(Number), reinterpret_cast<std::byte*>(numbers.data()));
+    for (std::size_t i = 0; i < chunk[0] && c * chunk[0] + i < order.rows; ++i)
+      for (std::size_t k = 0; k < order.columns; ++k)
+        values[order.at(c * chunk[0] + i, k)] = numbers[i * order.columns + k];
+  });
+  if (failed) return refuse();
+  return {};
 }
 
-std::string userBlockLine(const std::string& checksum) {
-  return fmt::format("{} {} xxh3 {}\n", kFormat, kFormatVersion, checksum);
+// The factors of a file of version 1: floats or halfs, row-major, V as in the paper, through
+// shuffle and deflate.
+Result<RowMajorMatrixf> matrixOfVersion1(Reader& reader, const char* name) {
+  ASSIGN_OR_RETURN(const Shape extents, reader.shape(name, 2));
+  const Handle set(H5Dopen2(reader.file(), name, H5P_DEFAULT), H5Dclose);
+  const Handle type(H5Dget_type(set), H5Tclose);
+  RowMajorMatrixf values(static_cast<Eigen::Index>(extents[0]),
+                         static_cast<Eigen::Index>(extents[1]));
+  if (H5Tget_size(type) == 2) {
+    Eigen::Matrix<Eigen::half, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> halfs(
+        values.rows(), values.cols());
+    const Handle half(makeHalfType(), H5Tclose);
+    RETURN_IF_ERROR(reader.values(name, half, halfs.data()));
+    values = halfs.template cast<float>();
+  } else {
+    RETURN_IF_ERROR(reader.values(name, H5T_NATIVE_FLOAT, values.data()));
+  }
+  return values;
 }
 
-// Refuses other files, newer versions and damage, before libhdf5 sees the file. Returns its size.
-Result<std::uint64_t> verifyUserBlock(const std::filesystem::path& path) {
-  const Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
-  if (file.get() < 0) {
-    return failure(errno == ENOENT ? ErrorCode::kNotFound : ErrorCode::kIo, "{}: cannot open: {}",
-                   path.string(), systemMessage(errno));
+Result<void> readFactorsOfVersion1(Reader& reader, RelightableModel& model,
+                                   const std::string& where) {
+  Factors factors;
+  factors.layout = model.layout;
+  ASSIGN_OR_RETURN(factors.blockOffset,
+                   reader.list<std::int64_t>("block_offset", H5T_NATIVE_INT64));
+  ASSIGN_OR_RETURN(factors.E, matrixOfVersion1(reader, "E"));
+  ASSIGN_OR_RETURN(factors.U, matrixOfVersion1(reader, "U"));
+  ASSIGN_OR_RETURN(factors.V, matrixOfVersion1(reader, "V"));
+  if (factors.blockOffset.empty() || factors.blockOffset.back() != factors.E.rows() ||
+      factors.U.rows() != factors.E.rows() || factors.U.cols() != factors.V.rows() ||
+      factors.E.cols() != model.layout.pixelsPerBlock() || !factors.E.allFinite() ||
+      !factors.U.allFinite() || !factors.V.allFinite()) {
+    return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", where);
   }
-  std::array<char, kUserBlock> block{};
-  const ssize_t count = ::pread(file.get(), block.data(), block.size() - 1, 0);
-  if (count < 0) {
-    return failure(ErrorCode::kIo, "{}: cannot read: {}", path.string(), systemMessage(errno));
+  const Handle set(H5Dopen2(reader.file(), "E", H5P_DEFAULT), H5Dclose);
+  const Handle type(H5Dget_type(set), H5Tclose);
+  setFactors(model, factors, H5Tget_size(type) == 2 ? Storage::kFloat16 : Storage::kFloat32);
+  return {};
+}
+
+// E, U and V, which a plain file has given already.
+Result<void> readFactors(Reader& reader, const Head& head, std::array<FactorValues, 3> plain,
+                         RelightableModel& model, const std::string& where) {
+  ASSIGN_OR_RETURN(const std::string storage, reader.text("storage"));
+  bool known = false;
+  for (const Storage each :
+       {Storage::kFloat32, Storage::kFloat16, Storage::kQ8, Storage::kPacked}) {
+    if (storage != nameOf(each)) continue;
+    model.storage = each;
+    known = true;
   }
-  int version = 0;
-  char found[17] = {};
-  const int fields =
-      std::sscanf(block.data(), "lightsketch-model %d xxh3 %16[0-9a-f]", &version, found);
-  if (fields < 1) {
-    return failure(ErrorCode::kCorrupt, "{}: not a lightsketch model, or its beginning is damaged",
-                   path.string());
+  if (!known || head.places.has_value() == (model.storage == Storage::kPacked))
+    return failure(ErrorCode::kUnsupported, "{}: storage '{}' is unknown", where, storage);
+  ASSIGN_OR_RETURN(const auto ranks, reader.list<int>("block_rank", H5T_NATIVE_INT));
+  model.blockOffset.assign(1, 0);
+  for (const int rank : ranks) {
+    if (rank < 0 || rank > model.layout.pixelsPerBlock())
+      return failure(ErrorCode::kCorrupt, "{}: a block claims {} basis pictures", where, rank);
+    model.blockOffset.push_back(model.blockOffset.back() + rank);
   }
-  if (version > kFormatVersion) {
-    return failure(
-        ErrorCode::kUnsupported,
-        "{}: format version {} is newer than {}, the newest that this program reads; update it",
-        path.string(), version, kFormatVersion);
+  const bool packed = model.storage == Storage::kPacked;
+  ASSIGN_OR_RETURN(const Shape e, reader.shape("E", 2));
+  ASSIGN_OR_RETURN(const Shape u, reader.shape("U", packed ? 2 : 3));
+  ASSIGN_OR_RETURN(const Shape v, reader.shape("V", 2));
+  const hsize_t q = packed ? u[0] : u[1];
+  if (q > hsize_t{1} << 20) return failure(ErrorCode::kCorrupt, "{}: its rank is {}", where, q);
+  model.rank = static_cast<int>(q);
+  const auto rows = static_cast<hsize_t>(model.rows());
+  const auto columns = 3 * static_cast<hsize_t>(model.lights.size());
+  const Shape wantedU = packed ? Shape{q, rows}
+                               : Shape{static_cast<hsize_t>(model.panels()), q,
+                                       hsize_t{RelightableModel::kPanelRows}};
+  const Shape wantedV = packed ? Shape{q, columns} : Shape{columns, q};
+  if (e != Shape{rows, static_cast<hsize_t>(model.layout.pixelsPerBlock())} || u != wantedU ||
+      v != wantedV) {
+    return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", where);
   }
-  ASSIGN_OR_RETURN(const std::string actual, checksumBehindUserBlock(file.get(), path));
-  if (fields != 2 || version < 1 || userBlockLine(actual) != std::string(block.data())) {
-    return failure(ErrorCode::kCorrupt,
-                   "{}: damaged or truncated: its content does not have the checksum it should",
-                   path.string());
+  ASSIGN_OR_RETURN(model.E.scale, reader.scales("E_scale"));
+  ASSIGN_OR_RETURN(model.U.scale, reader.scales("U_scale"));
+  ASSIGN_OR_RETURN(model.V.scale, reader.scales("V_scale"));
+  if (!packed) {
+    model.E.values = std::move(plain[0]);
+    model.U.values = std::move(plain[1]);
+    model.V.values = std::move(plain[2]);
+    return {};
   }
-  const off_t size = ::lseek(file.get(), 0, SEEK_END);
-  return static_cast<std::uint64_t>(std::max<off_t>(size, 0));
+  const PackedE order(model);
+  RETURN_IF_ERROR(readPacked(reader, order, model, where));
+  RETURN_IF_ERROR(readPacked(reader, PackedU(model), model, where));
+  RETURN_IF_ERROR(readPacked(reader, PackedV(model), model, where));
+  if (model.E.scale.size() != order.order.size())
+    return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", where);
+  std::vector<float> scale(model.E.scale.size());
+  for (std::size_t i = 0; i < scale.size(); ++i) scale[order.order[i]] = model.E.scale[i];
+  model.E.scale = std::move(scale);
+  return {};
 }
 
 Result<RelightableModel> readContent(hid_t file, const std::filesystem::path& path,
-                                     std::uint64_t fileBytes) {
+                                     const Head& head, std::array<FactorValues, 3> plain) {
   // Deflate packs at most 1032 to 1.
-  Reader reader(file, path, std::min<std::uint64_t>(fileBytes * 1100, std::uint64_t{1} << 38));
+  Reader reader(file, path, std::min<std::uint64_t>(head.fileBytes * 1100, std::uint64_t{1} << 38));
+  const std::string where = path.string();
   RelightableModel model;
   ASSIGN_OR_RETURN(model.layout.width, reader.integer("width", 1, 1 << 20));
   ASSIGN_OR_RETURN(model.layout.height, reader.integer("height", 1, 1 << 20));
   ASSIGN_OR_RETURN(model.layout.blockSize, reader.integer("blockSize", 1, 1024));
-  // All shapes first, then the data.
-  ASSIGN_OR_RETURN(const Shape e, reader.shape("E", 2));
-  ASSIGN_OR_RETURN(const Shape u, reader.shape("U", 2));
-  ASSIGN_OR_RETURN(const Shape v, reader.shape("V", 2));
-  ASSIGN_OR_RETURN(const Shape lights, reader.shape("light_directions", 2));
-  ASSIGN_OR_RETURN(const Shape offsets, reader.shape("block_offset", 1));
-  const double blocks =
-      std::ceil(static_cast<double>(model.layout.width) / model.layout.blockSize) *
-      std::ceil(static_cast<double>(model.layout.height) / model.layout.blockSize);
-  if (static_cast<double>(offsets[0]) != blocks + 1 || e[0] != u[0] || u[1] != v[0] ||
-      v[1] != 3 * lights[0] || e[1] != static_cast<hsize_t>(model.layout.pixelsPerBlock())) {
-    return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", path.string());
-  }
-  Factors factors;
-  factors.layout = model.layout;
-  ASSIGN_OR_RETURN(factors.E, reader.matrix("E"));
-  ASSIGN_OR_RETURN(factors.U, reader.matrix("U"));
-  ASSIGN_OR_RETURN(factors.V, reader.matrix("V"));
-  ASSIGN_OR_RETURN(factors.blockOffset,
-                   reader.list<std::int64_t>("block_offset", H5T_NATIVE_INT64));
-  if (factors.blockOffset.back() != factors.E.rows())
-    return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", path.string());
-  setFactors(model, factors, reader.storage("E"));
   ASSIGN_OR_RETURN(model.lights, reader.directions("light_directions"));
   ASSIGN_OR_RETURN(model.solidAngles, reader.list<double>("solid_angles", H5T_NATIVE_DOUBLE));
   ASSIGN_OR_RETURN(model.capturedIds, reader.list<int>("captured_ids", H5T_NATIVE_INT));
   ASSIGN_OR_RETURN(model.capturedDirections, reader.directions("captured_directions"));
   ASSIGN_OR_RETURN(model.heldOutIds, reader.list<int>("held_out_ids", H5T_NATIVE_INT));
+  if (head.version == 1) {
+    RETURN_IF_ERROR(readFactorsOfVersion1(reader, model, where));
+  } else {
+    RETURN_IF_ERROR(readFactors(reader, head, std::move(plain), model, where));
+  }
   if (const auto misfit = misfitOf(model))
-    return failure(ErrorCode::kCorrupt, "{}: {}", path.string(), *misfit);
+    return failure(ErrorCode::kCorrupt, "{}: {}", where, *misfit);
   ASSIGN_OR_RETURN(const std::string interpolation, reader.text("interpolation"));
-  ASSIGN_OR_RETURN(const Json settings,
-                   parseJson(interpolation, path.string() + ": interpolation"));
-  ASSIGN_OR_RETURN(model.interpolation,
-                   interpolationFrom(settings, path.string() + ": interpolation"));
+  ASSIGN_OR_RETURN(const Json settings, parseJson(interpolation, where + ": interpolation"));
+  ASSIGN_OR_RETURN(model.interpolation, interpolationFrom(settings, where + ": interpolation"));
   ASSIGN_OR_RETURN(model.holdOutRule, reader.text("holdOutRule"));
   ASSIGN_OR_RETURN(model.sketch, reader.text("sketch"));
   ASSIGN_OR_RETURN(model.software, reader.text("software"));
   ASSIGN_OR_RETURN(const std::string notes, reader.text("notes"));
-  ASSIGN_OR_RETURN(model.notes, parseJson(notes, path.string() + ": notes"));
+  ASSIGN_OR_RETURN(model.notes, parseJson(notes, where + ": notes"));
   return model;
+}
+
+// Version 1: one XXH3 of everything behind the user block.
+Result<void> verifyVersion1(int fd, const Head& head, const std::filesystem::path& path) {
+  const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(),
+                                                                       XXH3_freeState);
+  XXH3_64bits_reset(state.get());
+  Bytes buffer(std::size_t{1} << 20);
+  for (std::uint64_t at = kUserBlock; at < head.fileBytes;) {
+    const std::uint64_t count = std::min<std::uint64_t>(buffer.size(), head.fileBytes - at);
+    if (const int error = readAll(fd, buffer.data(), count, at)) {
+      return failure(ErrorCode::kIo, "{}: cannot read: {}", path.string(), systemMessage(error));
+    }
+    XXH3_64bits_update(state.get(), buffer.data(), count);
+    at += count;
+  }
+  if (fmt::format("{:016x}", XXH3_64bits_digest(state.get())) != head.checksum) {
+    return failure(ErrorCode::kCorrupt,
+                   "{}: damaged or truncated: its content does not have the checksum it should",
+                   path.string());
+  }
+  return {};
+}
+
+Result<RelightableModel> loadUnguarded(const std::filesystem::path& path) {
+  const Descriptor descriptor(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  if (descriptor.get() < 0) {
+    return failure(errno == ENOENT ? ErrorCode::kNotFound : ErrorCode::kIo, "{}: cannot open: {}",
+                   path.string(), systemMessage(errno));
+  }
+  ASSIGN_OR_RETURN(const Head head, readHead(descriptor.get(), path));
+  std::array<FactorValues, 3> factors;
+  if (head.version == 1) {
+    RETURN_IF_ERROR(verifyVersion1(descriptor.get(), head, path));
+  } else {
+    RETURN_IF_ERROR(readAndVerify(descriptor.get(), head, path, factors));
+  }
+  const std::scoped_lock lock(hdf5Mutex());
+  H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
+  const Handle file(H5Fopen(path.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
+  if (!file) return failure(ErrorCode::kCorrupt, "{}: libhdf5 cannot open it", path.string());
+  return readContent(file, path, head, std::move(factors));
+}
+
+// Calls use(bytes of the whole file, its places); fails if libhdf5 does.
+template <class Use>
+Result<void> withFile(const RelightableModel& model, const std::string& where, Use use) {
+  if (const auto misfit = misfitOf(model)) {
+    return failure(ErrorCode::kInvalidArgument, "{}: {}", where, *misfit);
+  }
+  const std::scoped_lock lock(hdf5Mutex());
+  H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
+  if (!buildFile(model, use)) {
+    return failure(ErrorCode::kIo, "{}: libhdf5 could not build the model; is there memory enough?",
+                   where);
+  }
+  return {};
 }
 
 }  // namespace
 
 Result<void> saveModel(const RelightableModel& model, const std::filesystem::path& path) {
-  if (const auto misfit = misfitOf(model)) {
-    return failure(ErrorCode::kInvalidArgument, "{}: {}", path.string(), *misfit);
-  }
-  const std::scoped_lock lock(hdf5Mutex());
-  H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
   Result<void> written;
-  const auto write = [&](std::span<char> bytes) {
-    const auto content = bytes.subspan(kUserBlock);
-    const std::string line =
-        userBlockLine(fmt::format("{:016x}", XXH3_64bits(content.data(), content.size())));
-    std::copy(line.begin(), line.end(), bytes.begin());
-    written = writeFileAtomically(path, std::string_view(bytes.data(), bytes.size()));
-  };
-  if (!buildFile(model, write)) {
-    return failure(ErrorCode::kIo, "{}: libhdf5 could not build the model; is there memory enough?",
-                   path.string());
-  }
+  RETURN_IF_ERROR(withFile(
+      model, path.string(), [&](std::span<char> bytes, const std::optional<Places>& places) {
+        const auto content = bytes.subspan(kUserBlock);
+        std::vector<std::uint64_t> hashes((content.size() + kPiece - 1) / kPiece);
+        tbb::parallel_for(std::size_t{0}, hashes.size(), [&](std::size_t k) {
+          const auto piece = content.subspan(
+              k * kPiece, std::min<std::size_t>(kPiece, content.size() - k * kPiece));
+          hashes[k] = XXH3_64bits(piece.data(), piece.size());
+        });
+        const std::string line = placesLine(places);
+        const std::string head = userBlock(checksumOf(hashes, line), line);
+        std::copy(head.begin(), head.end(), bytes.begin());
+        written = writeFileAtomically(path, std::string_view(bytes.data(), bytes.size()));
+      }));
   return written;
 }
 
+Result<std::size_t> savedBytes(const RelightableModel& model) {
+  std::size_t size = 0;
+  RETURN_IF_ERROR(
+      withFile(model, "model",
+               [&](std::span<char> bytes, const std::optional<Places>&) { size = bytes.size(); }));
+  return size;
+}
+
 Result<RelightableModel> loadModel(const std::filesystem::path& path) {
-  ASSIGN_OR_RETURN(const std::uint64_t size, verifyUserBlock(path));
-  const std::scoped_lock lock(hdf5Mutex());
-  H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
-  const Handle file(H5Fopen(path.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
-  if (!file) return failure(ErrorCode::kCorrupt, "{}: libhdf5 cannot open it", path.string());
   try {
-    return readContent(file, path, size);
+    return loadUnguarded(path);
   } catch (const std::bad_alloc&) {
     return failure(ErrorCode::kUnsupported, "{}: needs more memory than there is", path.string());
   }
