@@ -105,19 +105,20 @@ std::vector<Vector3d> randomLights(int count, unsigned seed, double lowest) {
 }
 
 RadianceImage reconstruct(const RelightableModel& model, const Eigen::VectorXf& s) {
+  const Factors factors = factorsOf(model);
   const BlockLayout& layout = model.layout;
   RadianceImage image(layout.width, layout.height, 3);
   const auto n = static_cast<Eigen::Index>(model.lights.size());
-  Eigen::MatrixXf v(model.rank(), 3);
+  Eigen::MatrixXf v(model.rank, 3);
   for (int c = 0; c < 3; ++c) {
     v.col(c).setZero();
-    for (Eigen::Index i = 0; i < n; ++i) v.col(c) += model.V.col(3 * i + c) * s[3 * i + c];
+    for (Eigen::Index i = 0; i < n; ++i) v.col(c) += factors.V.col(3 * i + c) * s[3 * i + c];
   }
   for (int j = 0; j < layout.blocks(); ++j) {
     const auto from = model.blockOffset[static_cast<std::size_t>(j)];
     const auto rows = model.blockOffset[static_cast<std::size_t>(j) + 1] - from;
     const Eigen::MatrixXf pixels =
-        model.E.middleRows(from, rows).transpose() * (model.U.middleRows(from, rows) * v);
+        factors.E.middleRows(from, rows).transpose() * (factors.U.middleRows(from, rows) * v);
     for (int k = 0; k < layout.pixelsPerBlock(); ++k) {
       const int x = j % layout.columns() * layout.blockSize + k % layout.blockSize;
       const int y = j / layout.columns() * layout.blockSize + k / layout.blockSize;
