@@ -180,6 +180,12 @@ struct PackedV {
   std::size_t rows, columns;
 };
 
+hid_t datasetProperties() {
+  const hid_t properties = H5Pcreate(H5P_DATASET_CREATE);
+  H5Pset_dset_no_attrs_hint(properties, true);  // no room for attributes in each header
+  return properties;
+}
+
 // Writes datasets and attributes; the first failure makes all that follows void.
 class Writer {
  public:
@@ -190,7 +196,7 @@ class Writer {
   std::uint64_t plain(const char* name, const Shape& shape, hid_t type, const void* data) {
     const Handle space(H5Screate_simple(static_cast<int>(shape.size()), shape.data(), nullptr),
                        H5Sclose);
-    const Handle properties(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
+    const Handle properties(datasetProperties(), H5Pclose);
     const Handle set(H5Dcreate2(file_, name, type, space, H5P_DEFAULT, properties, H5P_DEFAULT),
                      H5Dclose);
     check(set);
@@ -230,7 +236,7 @@ class Writer {
       deflated[c].resize(size);
     });
     const Handle space(H5Screate_simple(2, shape.data(), nullptr), H5Sclose);
-    const Handle properties(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
+    const Handle properties(datasetProperties(), H5Pclose);
     const hsize_t chunkShape[] = {step, shape[1]};
     check(H5Pset_chunk(properties, 2, chunkShape));
     if (sizeof(Number) > 1) check(H5Pset_shuffle(properties));
@@ -251,7 +257,7 @@ class Writer {
             const std::vector<T>& values) {
     const Handle space(H5Screate_simple(static_cast<int>(shape.size()), shape.data(), nullptr),
                        H5Sclose);
-    const Handle properties(H5Pcreate(H5P_DATASET_CREATE), H5Pclose);
+    const Handle properties(datasetProperties(), H5Pclose);
     constexpr std::size_t kSmall = 512;
     if (values.size() * sizeof(T) > kSmall) {
       check(H5Pset_chunk(properties, static_cast<int>(shape.size()), shape.data()));
@@ -372,9 +378,14 @@ template <class Use>
 bool buildFile(const RelightableModel& model, Use use) {
   const Handle creation(H5Pcreate(H5P_FILE_CREATE), H5Pclose);
   H5Pset_userblock(creation, kUserBlock);
+  // Small indices and no heaps: they would take more than a small model's factors.
+  H5Pset_istore_k(creation, 4);
+  H5Pset_link_phase_change(creation, 64, 32);
+  H5Pset_attr_phase_change(creation, 64, 32);
   const Handle access(H5Pcreate(H5P_FILE_ACCESS), H5Pclose);
-  // The newer format spends fewer bytes on bookkeeping; every HDF5 since 1.10 reads it.
-  H5Pset_libver_bounds(access, H5F_LIBVER_V110, H5F_LIBVER_V110);
+  // Fewer bytes for bookkeeping than the oldest format. The newest one marks a file that is open, as
+  // this one still is when it is copied.
+  H5Pset_libver_bounds(access, H5F_LIBVER_V18, H5F_LIBVER_V18);
   const std::size_t increment =
       std::max<std::size_t>(model.factorBytes() / 4, std::size_t{1} << 20);
   H5Pset_fapl_core(access, increment, false);
