@@ -35,7 +35,7 @@ class Report : public ::testing::Test {
   void SetUp() override {
     const Sketch sketch = makeSketch(folder_.path() / "a<b>\"c", mattePicture, 24, kHostile);
     RelightableModel model = exactModel(sketch, mattePicture, "every:8:4");
-    model.V *= 1.02f;  // so that something differs
+    testing::scale(model, 1.02f);  // so that something differs
     model.software = "<img src=x onerror=alert(1)>";
     SilentProgress progress;
     ValidateOptions options;

@@ -95,7 +95,8 @@ inline RelightableModel exactModel(const Sketch& sketch, Scene scene, const std:
   const auto holdOut = applyHoldOut(sketch, rule);
   EXPECT_TRUE(holdOut) << holdOut.error().message;
   RelightableModel model;
-  model.layout = {kWidth, kHeight, 8};
+  Factors factors;
+  factors.layout = {kWidth, kHeight, 8};
   model.holdOutRule = rule;
   model.heldOutIds = holdOut->heldOut;
   model.capturedIds = holdOut->training;
@@ -103,25 +104,32 @@ inline RelightableModel exactModel(const Sketch& sketch, Scene scene, const std:
     model.lights.push_back(sketch.frames()[static_cast<std::size_t>(id)].light.direction);
   }
   model.capturedDirections = model.lights;
+  model.solidAngles.assign(model.lights.size(), 0.1);
   model.software = "lightsketch test";
   model.notes = Json{{"a <note>", "b & c"}};
 
-  const int pixels = model.layout.pixelsPerBlock();
+  const int pixels = factors.layout.pixelsPerBlock();
   const int columns = 3 * model.lightCount();
-  for (int j = 0; j <= model.layout.blocks(); ++j) model.blockOffset.push_back(j * pixels);
-  model.E = RowMajorMatrixf::Identity(pixels, pixels).replicate(model.layout.blocks(), 1);
-  model.V = RowMajorMatrixf::Identity(columns, columns);
-  model.U = RowMajorMatrixf::Zero(model.blockOffset.back(), columns);
+  for (int j = 0; j <= factors.layout.blocks(); ++j) factors.blockOffset.push_back(j * pixels);
+  factors.E = RowMajorMatrixf::Identity(pixels, pixels).replicate(factors.layout.blocks(), 1);
+  factors.V = RowMajorMatrixf::Identity(columns, columns);
+  factors.U = RowMajorMatrixf::Zero(factors.blockOffset.back(), columns);
   for (int i = 0; i < model.lightCount(); ++i) {
     const RadianceImage picture = scene(model.lights[static_cast<std::size_t>(i)]);
     for (int y = 0; y < kHeight; ++y) {
       for (int x = 0; x < kWidth; ++x) {
-        const int row = (y / 8 * model.layout.columns() + x / 8) * pixels + y % 8 * 8 + x % 8;
-        for (int c = 0; c < 3; ++c) model.U(row, 3 * i + c) = picture(x, y, c);
+        const int row = (y / 8 * factors.layout.columns() + x / 8) * pixels + y % 8 * 8 + x % 8;
+        for (int c = 0; c < 3; ++c) factors.U(row, 3 * i + c) = picture(x, y, c);
       }
     }
   }
+  setFactors(model, factors, Storage::kFloat32);
   return model;
+}
+
+// Every picture of the model times `factor`.
+inline void scale(RelightableModel& model, float factor) {
+  for (float& value : model.V.values.as<float>()) value *= factor;
 }
 
 }  // namespace lightsketch::testing
