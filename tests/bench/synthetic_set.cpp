@@ -106,11 +106,11 @@ class GroundTable {
   }
 
  private:
-  static constexpr float kStep = 0.01f;
+  static constexpr float kStep = 0.02f;
   static constexpr float kLeft = -13;
   static constexpr float kFront = -5;
-  static constexpr int kColumns = 2600;
-  static constexpr int kRows = 2200;
+  static constexpr int kColumns = 1300;
+  static constexpr int kRows = 1100;
   static std::size_t index(int column, int row) {
     return static_cast<std::size_t>(row) * kColumns + static_cast<std::size_t>(column);
   }
