@@ -1,258 +1,257 @@
 #include "pipeline/compress/factorise.h"
 
-#include <cblas.h>
-#include <lapack.h>
+#include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <cmath>
-#include <random>
-#include <stdexcept>
+#include <cstdint>
+#include <numeric>
 #include <utility>
 #include <vector>
+
+#include "pipeline/compress/kernels.h"
+#include "pipeline/compress/lapack.h"
 
 namespace lightsketch {
 namespace {
 
 using Eigen::Index;
 using Eigen::MatrixXd;
-using Eigen::MatrixXf;
 using Eigen::VectorXd;
 
 constexpr const char* kStage = "second stage";
 
-void symmetricEigen(int n, float* a, int first, int last, float* values, float* vectors) {
-  char job = 'V';
-  char range = 'I';
-  char lower = 'L';
-  float zero = 0;
-  float workSize = 0;
-  lapack_int intSize = 0;
-  lapack_int found = 0;
-  lapack_int info = 0;
-  lapack_int query = -1;
-  std::vector<lapack_int> support(static_cast<std::size_t>(2 * n));
-  LAPACK_ssyevr(&job, &range, &lower, &n, a, &n, &zero, &zero, &first, &last, &zero, &found, values,
-                vectors, &n, support.data(), &workSize, &query, &intSize, &query, &info);
-  auto size = static_cast<lapack_int>(workSize);
-  std::vector<float> work(static_cast<std::size_t>(size));
-  std::vector<lapack_int> ints(static_cast<std::size_t>(intSize));
-  LAPACK_ssyevr(&job, &range, &lower, &n, a, &n, &zero, &zero, &first, &last, &zero, &found, values,
-                vectors, &n, support.data(), work.data(), &size, ints.data(), &intSize, &info);
-  if (info != 0 || found != last - first + 1)
-    throw std::runtime_error("eigenvalues did not converge");
+// Rows of L that are worked on at once.
+constexpr Index kStrip = 2048;
+
+// Calls work(first row, count) for all strips of L; false if it was told to stop.
+template <class Work>
+bool forStrips(const LargeMatrix& L, Progress& progress, const Work& work) {
+  for (Index at = 0; at < L.rows(); at += kStrip) {
+    if (progress.cancelled()) return false;
+    const Index count = std::min(kStrip, L.rows() - at);
+    work(at, count);
+    L.release(static_cast<std::size_t>(at), static_cast<std::size_t>(count));
+  }
+  return true;
 }
 
-void symmetricEigen(int n, double* a, int first, int last, double* values, double* vectors) {
-  char job = 'V';
-  char range = 'I';
-  char lower = 'L';
-  double zero = 0;
-  double workSize = 0;
-  lapack_int intSize = 0;
-  lapack_int found = 0;
-  lapack_int info = 0;
-  lapack_int query = -1;
-  std::vector<lapack_int> support(static_cast<std::size_t>(2 * n));
-  LAPACK_dsyevr(&job, &range, &lower, &n, a, &n, &zero, &zero, &first, &last, &zero, &found, values,
-                vectors, &n, support.data(), &workSize, &query, &intSize, &query, &info);
-  auto size = static_cast<lapack_int>(workSize);
-  std::vector<double> work(static_cast<std::size_t>(size));
-  std::vector<lapack_int> ints(static_cast<std::size_t>(intSize));
-  LAPACK_dsyevr(&job, &range, &lower, &n, a, &n, &zero, &zero, &first, &last, &zero, &found, values,
-                vectors, &n, support.data(), work.data(), &size, ints.data(), &intSize, &info);
-  if (info != 0 || found != last - first + 1)
-    throw std::runtime_error("eigenvalues did not converge");
+MatrixView strip(const LargeMatrix& L, Index first, Index count) {
+  return {L.data() + first * L.cols(), static_cast<std::size_t>(count),
+          static_cast<std::size_t>(L.cols())};
 }
 
-// The `count` largest eigenvalues of a symmetric matrix (lower triangle), largest first, with their
-// vectors as columns.
-template <class Matrix>
-void largestEigen(Matrix& gram, int count,
-                  Eigen::Matrix<typename Matrix::Scalar, Eigen::Dynamic, 1>& values,
-                  Matrix& vectors) {
-  const auto n = static_cast<int>(gram.rows());
-  values.resize(n);
-  vectors.resize(n, count);
-  symmetricEigen(n, gram.data(), n - count + 1, n, values.data(), vectors.data());
-  values = values.head(count).reverse().eval();
-  vectors = vectors.rowwise().reverse().eval();
+MatrixView strip(const RowMajorMatrixf& matrix, Index first, Index count) {
+  return MatrixView(matrix).middleRows(static_cast<std::size_t>(first),
+                                       static_cast<std::size_t>(count));
 }
 
-// Orthonormal basis of the columns of a tall matrix, in place.
-void orthonormalise(MatrixXf& matrix) {
-  auto rows = static_cast<lapack_int>(matrix.rows());
-  auto columns = static_cast<lapack_int>(matrix.cols());
-  lapack_int info = 0;
-  lapack_int size = columns * 64;
-  std::vector<float> work(static_cast<std::size_t>(size));
-  std::vector<float> tau(static_cast<std::size_t>(columns));
-  LAPACK_sgeqrf(&rows, &columns, matrix.data(), &rows, tau.data(), work.data(), &size, &info);
-  LAPACK_sorgqr(&rows, &columns, &columns, matrix.data(), &rows, tau.data(), work.data(), &size,
-                &info);
-  if (info != 0) throw std::runtime_error("orthonormalisation failed");
+// Y = L X.
+bool apply(const LargeMatrix& L, const RowMajorMatrixf& X, RowMajorMatrixf& Y, Progress& progress) {
+  const PackedMatrix right(MatrixView(X), Cores::kAll);
+  Y.resize(L.rows(), X.cols());
+  return forStrips(L, progress, [&](Index first, Index count) {
+    multiply(strip(L, first, count), right, Y.row(first).data(), right.columns(), Cores::kAll);
+  });
 }
 
-// Gram matrix of L's rows (side = rows) or columns, lower triangle, in double.
-MatrixXd gramOf(const RowMajorMatrixf& L, bool ofRows) {
-  const Index side = ofRows ? L.rows() : L.cols();
-  const Index depth = ofRows ? L.cols() : L.rows();
+// Z = L^T Y.
+bool applyTransposed(const LargeMatrix& L, const RowMajorMatrixf& Y, RowMajorMatrixf& Z,
+                     Progress& progress) {
+  Z.setZero(L.cols(), Y.cols());
+  return forStrips(L, progress, [&](Index first, Index count) {
+    multiply(strip(L, first, count).transposed(), strip(Y, first, count), Z.data(),
+             static_cast<std::size_t>(Y.cols()), Cores::kAll, Into::kAdd);
+  });
+}
+
+RowMajorMatrixf product(const RowMajorMatrixf& A, const MatrixXd& B) {
+  const RowMajorMatrixf right = B.cast<float>();
+  RowMajorMatrixf C(A.rows(), B.cols());
+  multiply(MatrixView(A), MatrixView(right), C.data(), static_cast<std::size_t>(C.cols()),
+           Cores::kAll);
+  return C;
+}
+
+// Gram matrix of the rows (or columns) of a matrix, lower triangle, in double.
+MatrixXd gramOf(const Eigen::Ref<const RowMajorMatrixf, 0, Eigen::OuterStride<>>& matrix,
+                bool ofRows) {
+  const Index side = ofRows ? matrix.rows() : matrix.cols();
+  const Index depth = ofRows ? matrix.cols() : matrix.rows();
   MatrixXd gram = MatrixXd::Zero(side, side);
-  const Index chunk = std::max<Index>(64, (Index{1} << 24) / side);
+  const Index chunk = std::max<Index>(64, (Index{1} << 22) / side);
   for (Index at = 0; at < depth; at += chunk) {
     const Index count = std::min(chunk, depth - at);
-    const MatrixXd part =
-        ofRows ? MatrixXd(L.middleCols(at, count).cast<double>())
-               : MatrixXd(L.middleRows(at, count).transpose().cast<double>());  // side x count
-    cblas_dsyrk(CblasColMajor, CblasLower, CblasNoTrans, static_cast<int>(side),
-                static_cast<int>(count), 1, part.data(), static_cast<int>(side), 1, gram.data(),
-                static_cast<int>(side));
+    addGram(ofRows ? MatrixXd(matrix.middleCols(at, count).cast<double>())
+                   : MatrixXd(matrix.middleRows(at, count).transpose().cast<double>()),
+            gram);
   }
   return gram;
 }
 
-// Row-major C (m x n) = A (m x k) B (k x n).
-void multiply(const RowMajorMatrixf& A, const RowMajorMatrixf& B, RowMajorMatrixf& C) {
-  C.resize(A.rows(), B.cols());
-  cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasNoTrans, static_cast<int>(A.rows()),
-              static_cast<int>(B.cols()), static_cast<int>(A.cols()), 1, A.data(),
-              static_cast<int>(A.cols()), B.data(), static_cast<int>(B.cols()), 0, C.data(),
-              static_cast<int>(B.cols()));
+// Principal axes of a tall matrix's columns: its product with `rotation` has orthogonal columns of
+// these lengths, longest first.
+struct Axes {
+  VectorXd lengths;
+  MatrixXd rotation;
+};
+
+Axes axesOf(const RowMajorMatrixf& matrix) {
+  MatrixXd gram = gramOf(matrix, false);
+  Axes axes;
+  largestEigen(gram, static_cast<int>(matrix.cols()), axes.lengths, axes.rotation);
+  axes.lengths = axes.lengths.cwiseMax(0.0).cwiseSqrt();
+  return axes;
 }
 
-void exactStage(const RowMajorMatrixf& L, int q, SecondStage& result, Progress& progress) {
+// Orthonormal basis of a tall matrix's columns in its place, given its axes; what is nothing beside
+// the longest becomes zero. Twice, as at first short columns inherit the rounding of long ones.
+void orthonormalise(RowMajorMatrixf& matrix, Axes axes) {
+  for (int round = 0;; ++round) {
+    const double nothing = 1e-6 * axes.lengths[0];
+    for (Index k = 0; k < matrix.cols(); ++k)
+      axes.rotation.col(k) *= axes.lengths[k] > nothing ? 1 / axes.lengths[k] : 0;
+    matrix = product(matrix, axes.rotation);
+    if (round == 1) return;
+    axes = axesOf(matrix);
+  }
+}
+
+bool exactStage(const LargeMatrix& L, int q, SecondStage& result, Progress& progress) {
   const bool ofRows = L.rows() < L.cols();
-  MatrixXd gram = gramOf(L, ofRows);
+  MatrixXd gram = gramOf(L.matrix(), ofRows);
   progress.update(kStage, 1, 3);
-  if (progress.cancelled()) return;
+  if (progress.cancelled()) return false;
   VectorXd values;
   MatrixXd vectors;
   largestEigen(gram, q, values, vectors);
   progress.update(kStage, 2, 3);
-  if (progress.cancelled()) return;
+  if (progress.cancelled()) return false;
   result.keptEnergy = values.cwiseMax(0.0).sum();
+  const RowMajorMatrixf basis = vectors.cast<float>();
   if (ofRows) {
-    result.U = vectors.cast<float>();
-    multiply(RowMajorMatrixf(result.U.transpose()), L, result.V);
+    RowMajorMatrixf right;
+    if (!applyTransposed(L, basis, right, progress)) return false;
+    result.U = basis;
+    result.V = right.transpose();
   } else {
-    const RowMajorMatrixf basis = vectors.cast<float>();
-    multiply(L, basis, result.U);
+    if (!apply(L, basis, result.U, progress)) return false;
     result.V = basis.transpose();
   }
+  return true;
 }
 
-void randomisedStage(const RowMajorMatrixf& L, int q, SecondStage& result, Progress& progress) {
-  constexpr int kOversampling = 16;
-  constexpr int kPowerIterations = 2;
-  constexpr std::size_t kSteps = 2 * kPowerIterations + 3;
-  const auto rows = static_cast<int>(L.rows());
-  const auto columns = static_cast<int>(L.cols());
-  const int width = std::min({q + kOversampling, rows, columns});
-  std::size_t step = 0;
-  const auto goOn = [&] {
-    progress.update(kStage, ++step, kSteps);
-    return !progress.cancelled();
-  };
-  // L lies row by row: to BLAS, its transpose column by column.
-  const auto apply = [&](CBLAS_TRANSPOSE transpose, const MatrixXf& X) {
-    const int height = transpose == CblasTrans ? rows : columns;
-    MatrixXf Y(height, width);
-    cblas_sgemm(CblasColMajor, transpose, CblasNoTrans, height, width, static_cast<int>(X.rows()),
-                1, L.data(), columns, X.data(), static_cast<int>(X.rows()), 0, Y.data(), height);
-    return Y;
-  };
-  std::mt19937 random(20040808);
-  std::normal_distribution<float> normal;
-  const MatrixXf start = MatrixXf::NullaryExpr(columns, width, [&] { return normal(random); });
-  MatrixXf Q = apply(CblasTrans, start);
-  orthonormalise(Q);
-  for (int k = 0; k < kPowerIterations; ++k) {
-    if (!goOn()) return;
-    MatrixXf Z = apply(CblasNoTrans, Q);
-    orthonormalise(Z);
-    if (!goOn()) return;
-    Q = apply(CblasTrans, Z);
-    orthonormalise(Q);
+// L^T S, where every row of S has one entry, 1 or -1, in a column by chance: what a product with a
+// full random matrix would show of L's rows, for the price of reading them.
+bool sketchRows(const LargeMatrix& L, Index width, RowMajorMatrixf& sketch, Progress& progress) {
+  constexpr Index kColumns = 512;
+  RowMajorMatrixf sums = RowMajorMatrixf::Zero(width, L.cols());
+  const bool whole = forStrips(L, progress, [&](Index first, Index count) {
+    oneapi::tbb::parallel_for(Index{0}, (L.cols() + kColumns - 1) / kColumns, [&](Index part) {
+      const Index at = part * kColumns;
+      const Index columns = std::min(kColumns, L.cols() - at);
+      for (Index row = first; row < first + count; ++row) {
+        std::uint64_t z =
+            (static_cast<std::uint64_t>(row) + 1) * 0x9E3779B97F4A7C15u;  // splitmix64
+        z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
+        z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
+        z ^= z >> 31;
+        auto target = sums.row(static_cast<Index>((z >> 1) % static_cast<std::uint64_t>(width)))
+                          .segment(at, columns);
+        const auto source = L.matrix().row(row).segment(at, columns);
+        if (z & 1) {
+          target += source;
+        } else {
+          target -= source;
+        }
+      }
+    });
+  });
+  sketch = sums.transpose();
+  return whole;
+}
+
+// matrix -= basis basis^T matrix.
+void removeFrom(RowMajorMatrixf& matrix, const RowMajorMatrixf& basis) {
+  RowMajorMatrixf inner(basis.cols(), matrix.cols());
+  multiply(MatrixView(basis).transposed(), MatrixView(matrix), inner.data(),
+           static_cast<std::size_t>(inner.cols()), Cores::kAll);
+  inner = -inner;
+  multiply(MatrixView(basis), MatrixView(inner), matrix.data(),
+           static_cast<std::size_t>(matrix.cols()), Cores::kAll, Into::kAdd);
+}
+
+void appendColumns(RowMajorMatrixf& matrix, const RowMajorMatrixf& more) {
+  RowMajorMatrixf both(more.rows(), matrix.cols() + more.cols());
+  both << matrix, more;
+  matrix = std::move(both);
+}
+
+// Block Krylov iteration: the space is spanned by a sketch of L's rows and its images under L^T L,
+// one after the other; Rayleigh and Ritz find the best of it.
+bool randomisedStage(const LargeMatrix& L, int q, SecondStage& result, Progress& progress) {
+  constexpr Index kPanel = 32;  // what the products like best
+  constexpr std::size_t kMostPasses = 41;
+  constexpr double kGoodEnough = 0.01;  // dB
+  const Index side = std::min(L.rows(), L.cols());
+  // Narrow blocks make a deeper space of as many columns, wide ones better products.
+  const Index width = std::min(std::max(kPanel, (q / 3 + kPanel / 2) / kPanel * kPanel), side);
+  RowMajorMatrixf basis(L.cols(), 0);  // orthonormal columns
+  RowMajorMatrixf image(L.rows(), 0);  // L basis
+  RowMajorMatrixf next;
+  if (!sketchRows(L, width, next, progress)) return false;
+  orthonormalise(next, axesOf(next));
+  result.width = static_cast<int>(width);
+  for (double lastGain = 0;;) {
+    RowMajorMatrixf projected;
+    if (!apply(L, next, projected, progress)) return false;
+    progress.update(kStage, static_cast<std::size_t>(++result.passes), kMostPasses);
+    appendColumns(basis, next);
+    appendColumns(image, projected);
+    if (image.cols() >= std::min<Index>(q + kPanel, side)) {
+      const Axes axes = axesOf(image);
+      const double kept = axes.lengths.head(q).squaredNorm();
+      const double gain = kept - result.keptEnergy;
+      const double lost = std::max(result.totalEnergy - kept, 1e-7 * result.totalEnergy);
+      // Each gain is a smaller part of the one before, a tenth or less as a rule.
+      const double toCome = result.keptEnergy == 0
+                                ? lost
+                                : gain * (lastGain > 0 ? std::min(gain / lastGain, 0.5) : 0.25);
+      lastGain = result.keptEnergy == 0 ? 0 : gain;
+      result.keptEnergy = kept;
+      result.leftToGain = toCome < lost ? -10 * std::log10(1 - toCome / lost) : 10;
+      if (result.leftToGain < kGoodEnough || image.cols() + width > side) {
+        result.U = product(image, axes.rotation.leftCols(q));
+        result.V = product(basis, axes.rotation.leftCols(q)).transpose();
+        return true;
+      }
+    }
+    // Of nearly equal lengths, or short directions drown in the rounding of long ones.
+    orthonormalise(projected, axesOf(projected));
+    if (!applyTransposed(L, projected, next, progress)) return false;
+    progress.update(kStage, static_cast<std::size_t>(++result.passes), kMostPasses);
+    for (int round = 0; round < 2; ++round) {
+      removeFrom(next, basis);
+      orthonormalise(next, axesOf(next));
+    }
   }
-  if (!goOn()) return;
-  const MatrixXf Bt = apply(CblasNoTrans, Q);  // (Q^T L)^T
-  // The SVD of the small B = Q^T L through B B^T: L ~ (Q W) (W^T B).
-  MatrixXd gram = Bt.cast<double>().transpose() * Bt.cast<double>();
-  VectorXd values;
-  MatrixXd vectors;
-  largestEigen(gram, q, values, vectors);
-  if (!goOn()) return;
-  result.keptEnergy = values.cwiseMax(0.0).sum();
-  const MatrixXf W = vectors.cast<float>();
-  result.U = Q * W;
-  result.V = (Bt * W).transpose();
 }
 
 // Gives each column of U and row of V the same largest value, so that neither leaves the range of
 // half floats.
 void balance(SecondStage& result) {
+  Eigen::RowVectorXf scale = result.U.cwiseAbs().colwise().maxCoeff();
   for (Index k = 0; k < result.V.rows(); ++k) {
-    const float u = result.U.col(k).cwiseAbs().maxCoeff();
     const float v = result.V.row(k).cwiseAbs().maxCoeff();
-    if (u <= 0 || v <= 0) continue;
-    const float scale = std::sqrt(v / u);
-    result.U.col(k) *= scale;
-    result.V.row(k) /= scale;
+    scale[k] = scale[k] > 0 && v > 0 ? std::sqrt(v / scale[k]) : 1;
+    result.V.row(k) /= scale[k];
   }
+  result.U.array().rowwise() *= scale.array();
 }
 
 }  // namespace
 
-SingleThreadedBlas::SingleThreadedBlas() : before_(openblas_get_num_threads()) {
-  openblas_set_num_threads(1);
-}
-SingleThreadedBlas::~SingleThreadedBlas() { openblas_set_num_threads(before_); }
-
-void factoriseBlock(std::span<const float> columns, std::span<const bool> inPicture, int b,
-                    float* E, float* L) {
-  const auto p = static_cast<int>(inPicture.size());
-  const auto count = static_cast<int>(columns.size() / inPicture.size());
-  const auto pixels = static_cast<int>(std::count(inPicture.begin(), inPicture.end(), true));
-  if (b > pixels) throw std::logic_error("more basis vectors than pixels in a block");
-  if (b == pixels) {
-    // Full rank: any orthonormal basis is exact; this one needs no arithmetic and packs to nothing.
-    std::fill_n(E, static_cast<std::size_t>(b) * inPicture.size(), 0.0f);
-    int row = 0;
-    for (int k = 0; k < p; ++k) {
-      if (!inPicture[static_cast<std::size_t>(k)]) continue;
-      E[row * p + k] = 1;
-      for (int i = 0; i < count; ++i)
-        L[row * count + i] = columns[static_cast<std::size_t>(i * p + k)];
-      ++row;
-    }
-    return;
-  }
-  // Eigenvectors of the pixels' Gram matrix. In single precision it hides singular values below
-  // 3e-4 of the largest, which do not matter unless all are wanted.
-  const Eigen::Map<const MatrixXf> A(columns.data(), p, count);
-  Eigen::Map<RowMajorMatrixf> basis(E, b, p);
-  if (b == std::min(pixels, count)) {
-    const MatrixXd wide = A.cast<double>();
-    MatrixXd gram(p, p);
-    cblas_dsyrk(CblasColMajor, CblasLower, CblasNoTrans, p, count, 1, wide.data(), p, 0,
-                gram.data(), p);
-    VectorXd values;
-    MatrixXd vectors;
-    largestEigen(gram, b, values, vectors);
-    basis = vectors.transpose().cast<float>();
-  } else {
-    MatrixXf gram(p, p);
-    cblas_ssyrk(CblasColMajor, CblasLower, CblasNoTrans, p, count, 1, A.data(), p, 0, gram.data(),
-                p);
-    Eigen::VectorXf values;
-    MatrixXf vectors;
-    largestEigen(gram, b, values, vectors);
-    basis = vectors.transpose();
-  }
-  cblas_sgemm(CblasRowMajor, CblasNoTrans, CblasTrans, b, count, p, 1, E, p, A.data(), p, 0, L,
-              count);
-}
-
-Result<SecondStage> factoriseAll(RowMajorMatrixf L, int q, SecondStageMethod method,
+Result<SecondStage> factoriseAll(LargeMatrix L, int q, SecondStageMethod method,
                                  Progress& progress) {
   const auto side = static_cast<int>(std::min(L.rows(), L.cols()));
   const bool full = method == SecondStageMethod::kAuto && q == side;
@@ -260,20 +259,24 @@ Result<SecondStage> factoriseAll(RowMajorMatrixf L, int q, SecondStageMethod met
   result.exact = full || method == SecondStageMethod::kExact ||
                  (method == SecondStageMethod::kAuto && q > side / 6);
   progress.update(kStage, 0, 1);
-  for (Index row = 0; row < L.rows(); ++row) {
-    result.totalEnergy += L.row(row).cast<double>().squaredNorm();
-  }
-  if (full) {
+  std::vector<double> rowEnergy(static_cast<std::size_t>(L.rows()));
+  const auto& matrix = L.matrix();
+  bool whole = forStrips(L, progress, [&](Index first, Index count) {
+    oneapi::tbb::parallel_for(first, first + count, [&](Index row) {
+      rowEnergy[static_cast<std::size_t>(row)] = matrix.row(row).cast<double>().squaredNorm();
+    });
+  });
+  result.totalEnergy = std::accumulate(rowEnergy.begin(), rowEnergy.end(), 0.0);
+  if (whole && full) {
     const bool wide = L.rows() < L.cols();
-    (wide ? result.V : result.U) = std::move(L);
+    (wide ? result.V : result.U) = matrix;
     (wide ? result.U : result.V).setIdentity(side, side);
     result.keptEnergy = result.totalEnergy;
-  } else if (result.exact) {
-    exactStage(L, q, result, progress);
-  } else {
-    randomisedStage(L, q, result, progress);
+  } else if (whole) {
+    whole =
+        result.exact ? exactStage(L, q, result, progress) : randomisedStage(L, q, result, progress);
   }
-  if (progress.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
+  if (!whole || progress.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
   balance(result);
   progress.update(kStage, 1, 1);
   return result;

@@ -3,10 +3,7 @@
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
-#include <utility>
-#include <vector>
-
-#include "hwy/aligned_allocator.h"
+#include <stdexcept>
 
 // Vectors of a length known only at run time do not fit in arrays.
 #define HWY_DISABLED_TARGETS (HWY_SVE | HWY_SVE2 | HWY_SVE_256 | HWY_SVE2_128 | HWY_RVV)
@@ -180,10 +177,10 @@ void packB(const MatrixView& B, std::size_t firstRow, std::size_t depth, float* 
 }
 
 // Rows firstRow to lastRow of C. `packed`: all of B, kDepth rows after kDepth rows.
-void multiplyRows(const MatrixView& A, const MatrixView& B, const float* packed,
+void multiplyRows(const MatrixView& A, std::size_t columns, const float* packed,
                   std::size_t firstRow, std::size_t lastRow, float* C, std::size_t rowStep,
                   bool add) {
-  const std::size_t panels = (B.columns + kPanel - 1) / kPanel;
+  const std::size_t panels = (columns + kPanel - 1) / kPanel;
   const bool transposed = A.columnStep != 1;
   const std::size_t rows = lastRow - firstRow;
   float* left = transposed ? packedScratch.of((rows + kTileRows) * kDepth) : nullptr;
@@ -211,9 +208,8 @@ void multiplyRows(const MatrixView& A, const MatrixView& B, const float* packed,
       const int tileRows = static_cast<int>(std::min<std::size_t>(kTileRows, rows - r));
       const float* a = transposed ? left + r * depth : A.data + (firstRow + r) * A.rowStep + at;
       for (std::size_t j = 0; j < panels; ++j) {
-        tileWithin(tileRows, std::min(kPanel, B.columns - j * kPanel), a,
-                   transposed ? 1 : A.rowStep, transposed ? kTileRows : 1,
-                   block + j * kPanel * depth, kPanel, depth,
+        tileWithin(tileRows, std::min(kPanel, columns - j * kPanel), a, transposed ? 1 : A.rowStep,
+                   transposed ? kTileRows : 1, block + j * kPanel * depth, kPanel, depth,
                    C + (firstRow + r) * rowStep + j * kPanel, rowStep, add);
       }
     }
@@ -312,6 +308,33 @@ void projectFloats(const float* columns, std::size_t count, std::size_t p, const
   project(columns, count, p, E, b, L);
 }
 
+void planar(const float* pixels, std::size_t count, std::uint16_t* halfs) {
+  const D d;
+  const hn::Rebind<hwy::float16_t, D> half;
+  const V most = hn::Set(d, 65504.0f);
+  const V least = hn::Neg(most);
+  const auto store = [&](V values, std::uint16_t* target) {
+    const V bounded = hn::Min(hn::Max(values, least), most);
+    hn::StoreU(hn::DemoteTo(half, bounded), half, reinterpret_cast<hwy::float16_t*>(target));
+  };
+  std::size_t i = 0;
+  for (; i + kLanes <= count; i += kLanes) {
+    V red;
+    V green;
+    V blue;
+    hn::LoadInterleaved3(d, pixels + 3 * i, red, green, blue);
+    store(red, halfs + i);
+    store(green, halfs + count + i);
+    store(blue, halfs + 2 * count + i);
+  }
+  for (; i < count; ++i) {
+    for (std::size_t c = 0; c < 3; ++c) {
+      const float bounded = std::clamp(pixels[3 * i + c], -65504.0f, 65504.0f);
+      halfs[c * count + i] = Eigen::numext::bit_cast<std::uint16_t>(Eigen::half(bounded));
+    }
+  }
+}
+
 }  // namespace HWY_NAMESPACE
 }  // namespace lightsketch
 HWY_AFTER_NAMESPACE();
@@ -326,31 +349,44 @@ HWY_EXPORT(gramOfHalfs);
 HWY_EXPORT(gramOfFloats);
 HWY_EXPORT(projectHalfs);
 HWY_EXPORT(projectFloats);
+HWY_EXPORT(planar);
 
-void multiply(const MatrixView& A, const MatrixView& B, float* C, std::size_t rowStep, Cores cores,
-              Into into) {
-  constexpr std::size_t kRowsAtOnce = 256;  // of a transposed A, kDepth of which fill a quarter MB
-  if (A.columns == 0 && into == Into::kSet) {
-    for (std::size_t r = 0; r < A.rows; ++r) std::fill_n(C + r * rowStep, B.columns, 0.0f);
+namespace {
+
+template <class Work>
+void forEach(std::size_t count, Cores cores, const Work& work) {
+  if (cores == Cores::kAll && count > 1) {
+    oneapi::tbb::parallel_for(std::size_t{0}, count, work);
+  } else {
+    for (std::size_t i = 0; i < count; ++i) work(i);
   }
-  const auto panelled = HWY_DYNAMIC_DISPATCH(packedSize)(1, B.columns);
-  const auto packed = hwy::AllocateAligned<float>(std::max<std::size_t>(panelled * B.rows, 1));
-  const auto each = [cores](std::size_t count, const auto& work) {
-    if (cores == Cores::kAll && count > 1) {
-      oneapi::tbb::parallel_for(std::size_t{0}, count, work);
-    } else {
-      for (std::size_t i = 0; i < count; ++i) work(i);
-    }
-  };
-  each((B.rows + kDepth - 1) / kDepth, [&](std::size_t i) {
+}
+
+}  // namespace
+
+PackedMatrix::PackedMatrix(const MatrixView& matrix, Cores cores)
+    : rows_(matrix.rows), columns_(matrix.columns) {
+  const std::size_t panelled = HWY_DYNAMIC_DISPATCH(packedSize)(1, columns_);
+  values_ = hwy::AllocateAligned<float>(std::max<std::size_t>(panelled * rows_, 1));
+  forEach((rows_ + kDepth - 1) / kDepth, cores, [&](std::size_t i) {
     const std::size_t first = i * kDepth;
     HWY_DYNAMIC_DISPATCH(packB)
-    (B, first, std::min(kDepth, B.rows - first), packed.get() + first * panelled);
+    (matrix, first, std::min(kDepth, rows_ - first), values_.get() + first * panelled);
   });
-  each((A.rows + kRowsAtOnce - 1) / kRowsAtOnce, [&](std::size_t i) {
-    const std::size_t first = i * kRowsAtOnce;
+}
+
+void multiply(const MatrixView& A, const PackedMatrix& B, float* C, std::size_t rowStep,
+              Cores cores, Into into) {
+  if (A.columns != B.rows()) throw std::logic_error("matrices that do not fit are multiplied");
+  if (A.columns == 0 && into == Into::kSet) {
+    for (std::size_t r = 0; r < A.rows; ++r) std::fill_n(C + r * rowStep, B.columns(), 0.0f);
+  }
+  // Of a transposed A, kDepth pieces this long go to the second cache at once.
+  const std::size_t atOnce = A.columnStep == 1 ? 128 : 256;
+  forEach((A.rows + atOnce - 1) / atOnce, cores, [&](std::size_t i) {
+    const std::size_t first = i * atOnce;
     HWY_DYNAMIC_DISPATCH(multiplyRows)
-    (A, B, packed.get(), first, std::min(first + kRowsAtOnce, A.rows), C, rowStep,
+    (A, B.columns(), B.data(), first, std::min(first + atOnce, A.rows), C, rowStep,
      into == Into::kAdd);
   });
 }
@@ -368,6 +404,10 @@ void projectColumns(const std::uint16_t* columns, std::size_t count, std::size_t
 void projectColumns(const float* columns, std::size_t count, std::size_t p, const float* E,
                     std::size_t b, float* L) {
   HWY_DYNAMIC_DISPATCH(projectFloats)(columns, count, p, E, b, L);
+}
+
+void planarHalfs(const float* pixels, std::size_t count, std::uint16_t* halfs) {
+  HWY_DYNAMIC_DISPATCH(planar)(pixels, count, halfs);
 }
 
 }  // namespace lightsketch

@@ -6,6 +6,9 @@
 #include <Eigen/Core>
 #include <cstddef>
 #include <cstdint>
+#include <utility>
+
+#include "hwy/aligned_allocator.h"
 
 namespace lightsketch {
 
@@ -49,11 +52,28 @@ enum class Cores {
 };
 enum class Into { kSet, kAdd };
 
+// The right side of a product, ready for it.
+class PackedMatrix {
+ public:
+  PackedMatrix(const MatrixView& matrix, Cores cores);
+  std::size_t rows() const { return rows_; }
+  std::size_t columns() const { return columns_; }
+  const float* data() const { return values_.get(); }
+
+ private:
+  std::size_t rows_;
+  std::size_t columns_;
+  hwy::AlignedFreeUniquePtr<float[]> values_;
+};
+
 // C = A B, or C += A B; row r of C begins at C + r * rowStep. The result does not depend on the
-// number of cores. Fastest where B's columns are few (up to some hundred) or A's rows many: B is
-// packed as a whole.
-void multiply(const MatrixView& A, const MatrixView& B, float* C, std::size_t rowStep, Cores cores,
-              Into into = Into::kSet);
+// number of cores. Fastest where A's rows are many.
+void multiply(const MatrixView& A, const PackedMatrix& B, float* C, std::size_t rowStep,
+              Cores cores, Into into = Into::kSet);
+inline void multiply(const MatrixView& A, const MatrixView& B, float* C, std::size_t rowStep,
+                     Cores cores, Into into = Into::kSet) {
+  multiply(A, PackedMatrix(B, cores), C, rowStep, cores, into);
+}
 
 // For `count` columns of p values each, one after the other (half or single precision): the Gram
 // matrix, p x p, both triangles, of the p rows: sum over columns of a a^T. One core.
@@ -65,5 +85,9 @@ void projectColumns(const std::uint16_t* columns, std::size_t count, std::size_t
                     std::size_t b, float* L);
 void projectColumns(const float* columns, std::size_t count, std::size_t p, const float* E,
                     std::size_t b, float* L);
+
+// Pixels of red, green, blue to one row of half floats per channel, 3 x count; values beyond half's
+// range become its largest.
+void planarHalfs(const float* pixels, std::size_t count, std::uint16_t* halfs);
 
 }  // namespace lightsketch

@@ -2,68 +2,56 @@
 
 #include <fcntl.h>
 #include <oneapi/tbb/parallel_for.h>
+#include <oneapi/tbb/task_arena.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <atomic>
 #include <cerrno>
-#include <cstdlib>
+#include <cstring>
 #include <mutex>
 #include <optional>
-#include <string>
 #include <utility>
 
 #include "capture/frame/file.h"
+#include "pipeline/compress/kernels.h"
+#include "pipeline/compress/large_matrix.h"
+#include "pipeline/compress/scratch_file.h"
 
 namespace lightsketch {
-namespace {
-
-// Reads or writes all of a range; the errno of what failed, 0 if nothing did.
-template <class Function, class Byte>
-int transferAll(Function function, int fd, Byte* bytes, std::size_t count, off_t at) {
-  while (count > 0) {
-    const ssize_t done = function(fd, bytes, count, at);
-    if (done < 0 && errno == EINTR) continue;
-    if (done < 0) return errno;
-    if (done == 0) return EIO;
-    bytes += done;
-    at += done;
-    count -= static_cast<std::size_t>(done);
-  }
-  return 0;
-}
-
-}  // namespace
 
 Result<ScratchStack> ScratchStack::create(const LightStack& stack, const BlockLayout& layout,
-                                          const std::filesystem::path& folder, Progress& progress) {
-  std::string name = (folder / "lightsketch-XXXXXX").string();
-  const int fd = ::mkostemp(name.data(), O_CLOEXEC);
-  if (fd < 0) {
-    return failure(ErrorCode::kIo, "{}: cannot write a scratch file: {}", folder.string(),
-                   systemMessage(errno));
+                                          const std::filesystem::path& folder, Progress& progress,
+                                          std::size_t memoryBytes) {
+  ASSIGN_OR_RETURN(const int fd, openScratchFile(folder));
+  ScratchStack scratch(fd, layout, stack.size(), folder);
+  // A disk too small is better known before hours of decoding than after.
+  const std::int64_t bytes = scratch.offsetOf(layout.blocks(), 0);
+  if (bytes > 0 && ::fallocate(fd, 0, 0, bytes) != 0 && errno != EOPNOTSUPP) {
+    return failure(ErrorCode::kIo, "{}: no room for the decoded images ({} MB): {}; set TMPDIR",
+                   folder.string(), bytes / 1'000'000, systemMessage(errno));
   }
-  ::unlink(name.c_str());
-  ScratchStack scratch(fd, layout, stack.size());
 
+  // Several images at once: their blocks are written side by side in one piece.
+  constexpr int kImagesAtOnce = 16;
+  const int cores = oneapi::tbb::this_task_arena::max_concurrency();
+  const std::size_t perImage =
+      static_cast<std::size_t>(layout.blocks()) * scratch.blockValues() * sizeof(std::uint16_t);
+  const int atOnce = static_cast<int>(
+      std::clamp<std::size_t>(memoryBytes / (perImage * static_cast<std::size_t>(cores)), 1,
+                              std::clamp(stack.size() / (4 * cores), 1, kImagesAtOnce)));
   std::mutex mutex;  // guards the first failure
   std::optional<Error> error;
   std::atomic<bool> failed = false;
   std::atomic<std::size_t> done = 0;
   const auto total = static_cast<std::size_t>(stack.size());
   progress.update("reading images", 0, total);
-  oneapi::tbb::parallel_for(0, stack.size(), [&](int i) {
+  oneapi::tbb::parallel_for(0, (stack.size() + atOnce - 1) / atOnce, [&](int batch) {
     if (failed || progress.cancelled()) return;
-    Result<void> result;
-    if (auto image = stack.read(i); !image) {
-      result = tl::unexpected<Error>(std::move(image).error());
-    } else {
-      result = scratch.write(i, *image, folder);
-    }
-    if (result) {
-      progress.update("reading images", ++done, total);
-      return;
-    }
+    const int first = batch * atOnce;
+    const int count = std::min(atOnce, stack.size() - first);
+    Result<void> result = scratch.write(stack, first, count, progress, done);
+    if (result) return;
     const std::scoped_lock lock(mutex);
     if (!failed.exchange(true)) error = std::move(result).error();
   });
@@ -73,58 +61,62 @@ Result<ScratchStack> ScratchStack::create(const LightStack& stack, const BlockLa
 }
 
 ScratchStack::ScratchStack(ScratchStack&& other) noexcept
-    : fd_(std::exchange(other.fd_, -1)), layout_(other.layout_), images_(other.images_) {}
+    : fd_(std::exchange(other.fd_, -1)),
+      layout_(other.layout_),
+      images_(other.images_),
+      folder_(std::move(other.folder_)) {}
 
 ScratchStack::~ScratchStack() {
   if (fd_ >= 0) ::close(fd_);
 }
 
-std::int64_t ScratchStack::offsetOf(int blockRow, int image, int column) const {
-  const std::int64_t block =
-      (static_cast<std::int64_t>(blockRow) * images_ + image) * layout_.columns() + column;
-  return block * static_cast<std::int64_t>(blockValues() * sizeof(std::uint16_t));
+std::int64_t ScratchStack::offsetOf(int block, int image) const {
+  return (static_cast<std::int64_t>(block) * images_ + image) *
+         static_cast<std::int64_t>(blockValues() * sizeof(std::uint16_t));
 }
 
-Result<void> ScratchStack::write(int image, const RadianceImage& radiance,
-                                 const std::filesystem::path& folder) const {
-  const int size = layout_.blockSize;
-  std::vector<std::uint16_t> halfs(static_cast<std::size_t>(layout_.columns()) * blockValues());
-  for (int row = 0; row < layout_.rows(); ++row) {
-    std::fill(halfs.begin(), halfs.end(), std::uint16_t{0});
-    for (int y = row * size; y < std::min((row + 1) * size, layout_.height); ++y) {
-      for (int x = 0; x < layout_.width; ++x) {
-        const auto pixel = static_cast<std::size_t>((y - row * size) * size + x % size);
-        for (int c = 0; c < 3; ++c) {
-          const float value = std::clamp(radiance(x, y, c), -65504.0f, 65504.0f);
-          halfs[static_cast<std::size_t>(x / size) * blockValues() +
-                static_cast<std::size_t>(c) * static_cast<std::size_t>(layout_.pixelsPerBlock()) +
-                pixel] = Eigen::numext::bit_cast<std::uint16_t>(Eigen::half(value));
+Result<void> ScratchStack::write(const LightStack& stack, int firstImage, int count,
+                                 Progress& progress, std::atomic<std::size_t>& done) const {
+  const auto size = static_cast<std::size_t>(layout_.blockSize);
+  const auto width = static_cast<std::size_t>(layout_.width);
+  const auto blocks = static_cast<std::size_t>(layout_.blocks());
+  const auto columns = static_cast<std::size_t>(layout_.columns());
+  const auto images = static_cast<std::size_t>(count);
+  const Pages pages(blocks * images * blockValues() * sizeof(std::uint16_t));
+  auto* const halfs = static_cast<std::uint16_t*>(pages.data());
+  std::vector<std::uint16_t> row(3 * width);
+  for (std::size_t i = 0; i < images; ++i) {
+    if (progress.cancelled()) return {};
+    ASSIGN_OR_RETURN(const RadianceImage image, stack.read(firstImage + static_cast<int>(i)));
+    for (std::size_t y = 0; y < static_cast<std::size_t>(layout_.height); ++y) {
+      planarHalfs(image.row(static_cast<int>(y)).data(), width, row.data());
+      for (std::size_t x = 0; x < width; x += size) {
+        const std::size_t block = y / size * columns + x / size;
+        std::uint16_t* target = halfs + (block * images + i) * blockValues() + y % size * size;
+        for (std::size_t c = 0; c < 3; ++c) {
+          std::memcpy(target + c * size * size, row.data() + c * width + x,
+                      std::min(size, width - x) * sizeof(std::uint16_t));
         }
       }
     }
-    const int error = transferAll(::pwrite, fd_, reinterpret_cast<const char*>(halfs.data()),
-                                  halfs.size() * sizeof(std::uint16_t), offsetOf(row, image, 0));
-    if (error != 0) {
+    progress.update("reading images", ++done, static_cast<std::size_t>(images_));
+  }
+  for (std::size_t block = 0; block < blocks; ++block) {
+    const std::size_t values = images * blockValues();
+    if (const int error = writeAll(fd_, halfs + block * values, values * sizeof(std::uint16_t),
+                                   offsetOf(static_cast<int>(block), firstImage))) {
       return failure(ErrorCode::kIo,
                      "{}: cannot keep the decoded images here: {}; make room or set TMPDIR",
-                     folder.string(), systemMessage(error));
+                     folder_.string(), systemMessage(error));
     }
   }
   return {};
 }
 
-Result<void> ScratchStack::read(int blockRow, int firstColumn, int columns,
-                                std::vector<std::uint16_t>& halfs) const {
-  const std::size_t perImage = static_cast<std::size_t>(columns) * blockValues();
-  halfs.resize(static_cast<std::size_t>(images_) * perImage);
-  for (int i = 0; i < images_; ++i) {
-    const int error =
-        transferAll(::pread, fd_,
-                    reinterpret_cast<char*>(halfs.data() + static_cast<std::size_t>(i) * perImage),
-                    perImage * sizeof(std::uint16_t), offsetOf(blockRow, i, firstColumn));
-    if (error != 0)
-      return failure(ErrorCode::kIo, "cannot read the scratch file back: {}", systemMessage(error));
-  }
+Result<void> ScratchStack::read(int block, std::uint16_t* halfs) const {
+  const std::size_t bytes = static_cast<std::size_t>(offsetOf(1, 0));
+  if (const int error = readAll(fd_, halfs, bytes, offsetOf(block, 0)))
+    return failure(ErrorCode::kIo, "cannot read the scratch file back: {}", systemMessage(error));
   return {};
 }
 

@@ -2,9 +2,11 @@
 // Internal to this folder.
 #pragma once
 
-#include <Eigen/Core>
+#include <atomic>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <utility>
 #include <vector>
 
 #include "capture/frame/progress.h"
@@ -14,35 +16,37 @@
 
 namespace lightsketch {
 
-// Half floats in an unlinked file, so that nothing is left behind whatever happens. Order: row of
-// blocks, image, block, channel, pixel; pixels beyond the picture are zero.
+// Half floats in an unlinked file. Order: block, image, channel, pixel, so that a block under all
+// lights is one read; pixels beyond the picture are zero.
 class ScratchStack {
  public:
-  // Reads all images of `stack`, in parallel.
+  // Reads all images of `stack`, in parallel, some at once for each core as far as `memoryBytes`
+  // allows (at least one).
   static Result<ScratchStack> create(const LightStack& stack, const BlockLayout& layout,
-                                     const std::filesystem::path& folder, Progress& progress);
+                                     const std::filesystem::path& folder, Progress& progress,
+                                     std::size_t memoryBytes = 200'000'000);
   ScratchStack(ScratchStack&& other) noexcept;
   ScratchStack& operator=(ScratchStack&&) = delete;
   ~ScratchStack();
 
   int images() const { return images_; }
+  const std::filesystem::path& folder() const { return folder_; }
   // Halfs of one block of one image: 3 p.
   std::size_t blockValues() const { return 3 * static_cast<std::size_t>(layout_.pixelsPerBlock()); }
-  // Blocks firstColumn to firstColumn + columns of a row of blocks, of all images: images x columns
-  // x 3 x p. Thread-safe.
-  Result<void> read(int blockRow, int firstColumn, int columns,
-                    std::vector<std::uint16_t>& halfs) const;
+  // One block of all images: images x 3 x p. Thread-safe.
+  Result<void> read(int block, std::uint16_t* halfs) const;
 
  private:
-  ScratchStack(int fd, const BlockLayout& layout, int images)
-      : fd_(fd), layout_(layout), images_(images) {}
-  Result<void> write(int image, const RadianceImage& radiance,
-                     const std::filesystem::path& folder) const;
-  std::int64_t offsetOf(int blockRow, int image, int column) const;
+  ScratchStack(int fd, const BlockLayout& layout, int images, std::filesystem::path folder)
+      : fd_(fd), layout_(layout), images_(images), folder_(std::move(folder)) {}
+  Result<void> write(const LightStack& stack, int firstImage, int count, Progress& progress,
+                     std::atomic<std::size_t>& done) const;
+  std::int64_t offsetOf(int block, int image) const;
 
   int fd_ = -1;
   BlockLayout layout_;
   int images_ = 0;
+  std::filesystem::path folder_;
 };
 
 }  // namespace lightsketch
