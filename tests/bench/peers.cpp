@@ -252,7 +252,7 @@ Result<Peer> fitGlobalPca(const LightStack& stack, std::uint64_t bytes) {
       }};
 }
 
-Result<Quality> measureQuality(const Peer& peer, const LightStack& truth) {
+Result<PictureQuality> measureQuality(const Peer& peer, const LightStack& truth) {
   std::mutex mutex;  // Guards error and both sums.
   std::optional<Error> error;
   double linear = 0;
@@ -279,8 +279,8 @@ Result<Quality> measureQuality(const Peer& peer, const LightStack& truth) {
   });
   if (error) return tl::unexpected<Error>(*error);
   const double values = 3.0 * truth.width() * truth.height() * truth.size();
-  return Quality{-10 * std::log10(linear / values),
-                 -10 * std::log10(encoded / values / (255.0 * 255.0))};
+  return PictureQuality{-10 * std::log10(linear / values),
+                        -10 * std::log10(encoded / values / (255.0 * 255.0))};
 }
 
 }  // namespace lightsketch

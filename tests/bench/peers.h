@@ -46,11 +46,11 @@ Result<std::vector<Peer>> fitBases(const LightStack& stack, std::span<const Ligh
 Result<Peer> fitGlobalPca(const LightStack& stack, std::uint64_t bytes);
 
 // Errors pooled over pictures, pixels and channels.
-struct Quality {
+struct PictureQuality {
   double linearPsnr = 0;  // dB, peak 1, nothing clipped
   double srgbPsnr = 0;    // dB, 8 bits, peak 255
 };
 // Against all of `truth`.
-Result<Quality> measureQuality(const Peer& peer, const LightStack& truth);
+Result<PictureQuality> measureQuality(const Peer& peer, const LightStack& truth);
 
 }  // namespace lightsketch
