@@ -101,6 +101,26 @@ struct ValidateJob {
 };
 Result<JobResult> validateJob(const ValidateJob& job, Progress& progress);
 
+// Looks for frames in somebody's shadow, with a brightness of their own or a wrong direction
+// (checkFrames). Changes the sketch only with `apply`, by journal events: drops, and corrections
+// where gain or direction alone explain the fault.
+struct CullJob {
+  std::filesystem::path sketch;
+  std::filesystem::path report;  // folder for index.html and cull.json; empty: none
+  bool apply = false;            // needs a report, which keeps what undoes it
+  std::filesystem::path undo;    // cull.json of an earlier apply: takes all of it back, nothing else
+};
+Result<JobResult> cullJob(const CullJob& job, Progress& progress);
+
+// Frames out of a sketch by hand, and back in. Pictures stay on disk.
+struct DropJob {
+  std::filesystem::path sketch;
+  std::vector<int> ids;
+  std::string reason;  // restoring needs none
+};
+Result<JobResult> dropJob(const DropJob& job);
+Result<JobResult> restoreJob(const DropJob& job);
+
 // What a file is: a sketch, a model, a camera model, an image.
 Result<JobResult> infoJob(const std::filesystem::path& file);
 

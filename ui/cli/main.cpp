@@ -147,6 +147,8 @@ struct Commands {
     addCompress(app);
     addRelight(app);
     addValidate(app);
+    addCull(app);
+    addDropAndRestore(app);
     addInfo(app);
     addDemo(app);
   }
@@ -416,6 +418,49 @@ struct Commands {
     });
   }
 
+  void addCull(CLI::App& app) {
+    auto* command = add(
+        app, "cull",
+        "find frames in somebody's shadow, with a brightness of their own or a wrong direction; "
+        "drop or correct them",
+        "lightsketch cull vase --report vase-cull\n  lightsketch cull vase --report vase-cull "
+        "--apply\n  lightsketch cull vase --undo vase-cull/cull.json");
+    command->add_option("sketch", cull_.sketch, "the sketch")->required();
+    auto* report = command->add_option("--report", cull_.report,
+                                       "folder for what was found: index.html and cull.json");
+    command
+        ->add_flag("--apply", cull_.apply,
+                   "drop what is beyond help, correct brightness and directions, as events in the "
+                   "journal; without it nothing is changed")
+        ->needs(report);
+    command
+        ->add_option("--undo", cull_.undo,
+                     "take back what an earlier --apply did; its cull.json says what")
+        ->excludes("--apply")
+        ->excludes(report);
+    command->callback([this] {
+      action = [this](ProgressBar& bar, const std::stop_token&) { return cullJob(cull_, bar); };
+    });
+  }
+
+  void addDropAndRestore(CLI::App& app) {
+    auto* drop = add(app, "drop", "take frames out of a sketch; their pictures stay on disk",
+                     "lightsketch drop vase 17 18 --reason \"my sleeve\"");
+    drop->add_option("sketch", drop_.sketch, "the sketch")->required();
+    drop->add_option("frames", drop_.ids, "ids of the frames")->required();
+    drop->add_option("--reason", drop_.reason, "why, for the journal")->required();
+    drop->callback([this] {
+      action = [this](ProgressBar&, const std::stop_token&) { return dropJob(drop_); };
+    });
+    auto* restore =
+        add(app, "restore", "take dropped frames back in", "lightsketch restore vase 17 18");
+    restore->add_option("sketch", drop_.sketch, "the sketch")->required();
+    restore->add_option("frames", drop_.ids, "ids of the frames")->required();
+    restore->callback([this] {
+      action = [this](ProgressBar&, const std::stop_token&) { return restoreJob(drop_); };
+    });
+  }
+
   void addInfo(CLI::App& app) {
     auto* command = add(app, "info", "what a sketch, model, camera model or picture holds",
                         "lightsketch info vase");
@@ -448,6 +493,8 @@ struct Commands {
   CompressJob compress_;
   RelightJob relight_;
   ValidateJob validate_;
+  CullJob cull_;
+  DropJob drop_;
   std::filesystem::path info_;
   DemoJob demo_;
   std::optional<CalibrateCommands> calibrate_;
