@@ -208,8 +208,9 @@ class RowSums {
   HWY_INLINE void sum(const T* from, std::size_t panelStride, std::size_t offset) {
     const F d;
     Sums<kSummed> sums;
+    // 48 columns ahead: a whole panel would drive out of the first cache what is needed next.
     multiply<kSummed, kPerPanel>(from, panelStride, kPanelRows, basis_.rank, basis_.v,
-                                 kSummed / kPerPanel * panelStride, sums);
+                                 48 * kPanelRows, sums);
     const std::size_t row = panel_ * kPanelRows + offset;
     float* const to = sums_.get() + (row - firstRow_);
 #pragma GCC unroll 8
