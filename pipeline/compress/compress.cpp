@@ -1,8 +1,12 @@
 #include "pipeline/compress/compress.h"
 
 #include <algorithm>
+#include <cmath>
 #include <exception>
+#include <functional>
+#include <memory>
 #include <new>
+#include <stdexcept>
 #include <utility>
 
 #include "capture/frame/time.h"
@@ -10,6 +14,9 @@
 #include "pipeline/compress/factorise.h"
 #include "pipeline/compress/first_stage.h"
 #include "pipeline/compress/hold_out.h"
+#include "pipeline/compress/measured_error.h"
+#include "pipeline/compress/packed_code.h"
+#include "pipeline/compress/rate_distortion.h"
 #include "pipeline/compress/scratch_stack.h"
 #include "pipeline/illumination/light_grid.h"
 #include "pipeline/sketch/light_stack.h"
@@ -49,90 +56,280 @@ Result<void> checkNearLight(const LightStack& stack, const SurfacePoints& surfac
   return {};
 }
 
-Result<CompressResult> compressUnguarded(const LightStack& stack, const CompressOptions& options,
-                                         Progress& progress) {
-  CompressResult result;
-  RelightableModel& model = result.model;
-  CompressSummary& summary = result.summary;
-  const BlockLayout layout{stack.width(), stack.height(), options.blockSize};
-  if (stack.size() < 1 || stack.width() < 1 || stack.height() < 1) {
-    return failure(ErrorCode::kInvalidArgument, "there are no pictures to compress");
-  }
-
-  if (options.surface) RETURN_IF_ERROR(checkNearLight(stack, *options.surface));
-
-  TimePoint start = Clock::now();
-  const auto folder = options.scratchFolder.empty() ? std::filesystem::temp_directory_path()
-                                                    : options.scratchFolder;
-  ASSIGN_OR_RETURN(const ScratchStack scratch,
-                   ScratchStack::create(stack, layout, folder, progress));
-  summary.readSeconds = secondsSince(start);
-
-  start = Clock::now();
-  ASSIGN_OR_RETURN(const Densifier densifier,
-                   Densifier::create(stack, scratch, layout, options, progress));
-  model.lights = densifier.lights();
-  ASSIGN_OR_RETURN(model.solidAngles, voronoiSolidAngles(model.lights));
-  ASSIGN_OR_RETURN(FirstStage first,
-                   firstStage(scratch, densifier, layout, {.most = options.blockRank},
-                              options.memoryLimitBytes, progress));
-  summary.stage1Seconds = secondsSince(start);
-
-  start = Clock::now();
-  const auto rows = first.L.rows();
-  auto q = static_cast<int>(std::min(first.L.rows(), first.L.cols()));
-  if (options.rank > 0) q = std::min(q, options.rank);
-  ASSIGN_OR_RETURN(SecondStage second,
-                   factoriseAll(std::move(first.L), q, SecondStageMethod::kAuto, progress));
-  setFactors(model,
-             {layout, std::move(first.blockOffset), std::move(first.E), std::move(second.U),
-              std::move(second.V)},
-             options.storage);
-  summary.stage2Seconds = secondsSince(start);
-
-  summary.captures = stack.size();
-  summary.lights = static_cast<int>(model.lights.size());
-  summary.densified = densifier.active();
-  summary.nearLight = options.surface != nullptr;
-  summary.capturesInterpolation = densifier.description();
-  summary.blocks = layout.blocks();
-  summary.pixelsPerBlock = layout.pixelsPerBlock();
-  summary.rows = rows;
-  summary.rank = q;
-  summary.exactSecondStage = second.exact;
-  summary.stage1Energy = first.energy > 0 ? std::min(1.0, second.totalEnergy / first.energy) : 1;
-  summary.stage2Energy =
-      second.totalEnergy > 0 ? std::min(1.0, second.keptEnergy / second.totalEnergy) : 1;
-  fillRatios(summary);
-  summary.capturedBytes = 6ull * static_cast<std::uint64_t>(stack.size()) *
-                          static_cast<std::uint64_t>(stack.width()) *
-                          static_cast<std::uint64_t>(stack.height());
-  summary.modelBytes = model.factorBytes();
-
-  model.interpolation = densifier.interpolation();
-  model.capturedIds = stack.ids();
-  model.capturedDirections = stack.directions();
-  model.software = kSoftware;
-  return result;
-}
-
-Result<CompressResult> guarded(const LightStack& stack, const CompressOptions& options,
-                               Progress& progress) {
-  try {
-    return compressUnguarded(stack, options, progress);
-  } catch (const std::bad_alloc&) {
-    return failure(ErrorCode::kUnsupported,
-                   "not enough memory; ask for a lower block rank or rank");
-  } catch (const std::exception& error) {
-    return failure(ErrorCode::kIo, "compression failed: {}", error.what());
-  }
-}
-
 Json notesOf(const CompressSummary& summary) {
   Json notes = summary.toJson();
   for (const char* seconds : {"readSeconds", "stage1Seconds", "stage2Seconds"})
     notes.erase(seconds);
   return notes;
+}
+
+// Basis pictures' energies of some blocks, as if they were all: how far the first stage must go.
+struct Pilot {
+  double energy = 0;            // of all pictures
+  std::vector<double> falling;  // of all rows of E
+};
+
+Result<Pilot> pilotOf(const ScratchStack& scratch, const Densifier& densifier,
+                      const BlockLayout& layout) {
+  constexpr int kBlocks = 32;
+  const int count = std::min(kBlocks, layout.blocks());
+  const std::size_t values = scratch.blockValues();
+  const auto inside = std::make_unique<bool[]>(static_cast<std::size_t>(layout.pixelsPerBlock()));
+  std::fill_n(inside.get(), layout.pixelsPerBlock(), true);  // at the rim, zeros add no energy
+  const double scale = static_cast<double>(layout.blocks()) / count;
+  std::vector<std::uint16_t> halfs(static_cast<std::size_t>(scratch.images()) * values);
+  std::vector<float> columns;
+  Densifier::Workspace workspace;
+  Pilot pilot;
+  for (int k = 0; k < count; ++k) {
+    const auto block =
+        static_cast<int>((2 * k + 1) * static_cast<std::int64_t>(layout.blocks()) / (2 * count));
+    RETURN_IF_ERROR(scratch.read(block, halfs.data()));
+    RETURN_IF_ERROR(densifier.columns(block, halfs.data(), values, workspace, columns));
+    const auto pixels = static_cast<std::size_t>(layout.pixelsPerBlock());
+    const BlockFactors factors =
+        factoriseBlock(std::span<const float>(columns), {inside.get(), pixels}, {.most = 64});
+    pilot.energy += factors.energy * scale;
+    for (const double energy : factors.rowEnergy)
+      pilot.falling.insert(pilot.falling.end(), static_cast<std::size_t>(std::lround(scale)),
+                           energy);
+  }
+  std::sort(pilot.falling.begin(), pilot.falling.end(), std::greater<>());
+  return pilot;
+}
+
+// Noise (see rate_distortion.h) as a part of the energy per pixel. On RealRTI, small and archive
+// are where eight and twenty bits per pixel are spent.
+double relativeNoise(Quality quality) {
+  switch (quality) {
+    case Quality::kSmall:
+      return std::exp2(-10.25);
+    case Quality::kStandard:
+      return std::exp2(-12);
+    case Quality::kArchive:
+      return std::exp2(-13.25);
+  }
+  throw std::logic_error("unknown quality");
+}
+
+std::string settingOf(const CompressOptions& options) {
+  if (options.papersSetting()) return "the paper's, given ranks";
+  if (options.budgetBytes) return fmt::format("the best in {} bytes", *options.budgetBytes);
+  if (options.psnr) return fmt::format("the smallest of {:.2f} dB (8-bit sRGB)", *options.psnr);
+  return fmt::format("quality {}", nameOf(options.quality.value_or(Quality::kStandard)));
+}
+
+// One compression, from the decoded pictures to a model whose provenance is known already.
+class Compression {
+ public:
+  Compression(const LightStack& stack, const CompressOptions& options, Progress& progress,
+              CompressResult& result)
+      : stack_(stack),
+        options_(options),
+        progress_(progress),
+        model_(result.model),
+        summary_(result.summary),
+        layout_{stack.width(), stack.height(), options.blockSize} {}
+
+  Result<void> run() {
+    TimePoint start = Clock::now();
+    const auto folder = options_.scratchFolder.empty() ? std::filesystem::temp_directory_path()
+                                                       : options_.scratchFolder;
+    ASSIGN_OR_RETURN(const ScratchStack scratch,
+                     ScratchStack::create(stack_, layout_, folder, progress_));
+    summary_.readSeconds = secondsSince(start);
+
+    start = Clock::now();
+    ASSIGN_OR_RETURN(const Densifier densifier,
+                     Densifier::create(stack_, scratch, layout_, options_, progress_));
+    model_.lights = densifier.lights();
+    ASSIGN_OR_RETURN(model_.solidAngles, voronoiSolidAngles(model_.lights));
+    describe(densifier);
+    RankRule rule{.most = options_.blockRank.value_or(10)};
+    if (!options_.papersSetting()) {
+      ASSIGN_OR_RETURN(const Pilot pilot, pilotOf(scratch, densifier, layout_));
+      rule = {.most = 0, .threshold = rowThreshold(leastNoise(pilot), layout_.pixelsPerBlock())};
+    }
+    ASSIGN_OR_RETURN(FirstStage first, firstStage(scratch, densifier, layout_, rule,
+                                                  options_.memoryLimitBytes, progress_));
+    summary_.stage1Seconds = secondsSince(start);
+
+    start = Clock::now();
+    if (options_.papersSetting()) {
+      RETURN_IF_ERROR(keepRanks(std::move(first)));
+    } else {
+      RETURN_IF_ERROR(chooseByRate(std::move(first)));
+    }
+    summary_.stage2Seconds = secondsSince(start);
+    return {};
+  }
+
+ private:
+  double pixels() const { return static_cast<double>(layout_.width) * layout_.height; }
+
+  void describe(const Densifier& densifier) {
+    summary_.setting = settingOf(options_);
+    summary_.captures = stack_.size();
+    summary_.lights = static_cast<int>(model_.lights.size());
+    summary_.densified = densifier.active();
+    summary_.nearLight = options_.surface != nullptr;
+    summary_.capturesInterpolation = densifier.description();
+    summary_.blocks = layout_.blocks();
+    summary_.pixelsPerBlock = layout_.pixelsPerBlock();
+    summary_.capturedBytes = 6ull * static_cast<std::uint64_t>(stack_.size()) *
+                             static_cast<std::uint64_t>(stack_.width()) *
+                             static_cast<std::uint64_t>(stack_.height());
+    model_.interpolation = densifier.interpolation();
+    model_.capturedIds = stack_.ids();
+    model_.capturedDirections = stack_.directions();
+    model_.software = kSoftware;
+  }
+
+  // The finest that may be asked for.
+  double leastNoise(const Pilot& pilot) const {
+    constexpr double kFinest = 1.0 / (1 << 18);  // as a part of the energy per pixel
+    const double unit = std::max(pilot.energy, 1e-30) / pixels();
+    if (options_.psnr) return kFinest * unit;
+    if (options_.budgetBytes) {
+      // A basis picture takes 60 bytes or more with its share of U and V.
+      const auto rows = static_cast<std::size_t>(*options_.budgetBytes / 40);
+      const double energy =
+          rows < pilot.falling.size() ? pilot.falling[rows] / layout_.pixelsPerBlock() / 3 : 0;
+      return std::max(energy, kFinest * unit);
+    }
+    // Some blocks only tell the energy so well.
+    return 0.5 * relativeNoise(options_.quality.value_or(Quality::kStandard)) * unit;
+  }
+
+  void countFactors(std::int64_t rows, int rank) {
+    summary_.rows = rows;
+    summary_.rank = rank;
+    fillRatios(summary_);
+    summary_.modelBytes = model_.factorBytes();
+  }
+
+  Result<void> measure() {
+    if (options_.surface) return {};
+    ASSIGN_OR_RETURN(summary_.error, measureError(model_, stack_, progress_));
+    return {};
+  }
+
+  void noteEnergies(double captured, const SecondStage& second) {
+    summary_.exactSecondStage = second.exact;
+    summary_.stage1Energy = captured > 0 ? std::min(1.0, second.totalEnergy / captured) : 1;
+    summary_.stage2Energy =
+        second.totalEnergy > 0 ? std::min(1.0, second.keptEnergy / second.totalEnergy) : 1;
+  }
+
+  Result<void> keepRanks(FirstStage first) {
+    auto q = static_cast<int>(std::min(first.L.rows(), first.L.cols()));
+    const int wanted = options_.rank.value_or(200);
+    if (wanted > 0) q = std::min(q, wanted);
+    ASSIGN_OR_RETURN(SecondStage second,
+                     factoriseAll(std::move(first.L), q, SecondStageMethod::kAuto, progress_));
+    noteEnergies(first.energy, second);
+    setFactors(model_,
+               {layout_, std::move(first.blockOffset), std::move(first.E), std::move(second.U),
+                std::move(second.V)},
+               options_.storage.value_or(Storage::kFloat16));
+    countFactors(model_.rows(), q);
+    return measure();
+  }
+
+  Result<void> chooseByRate(FirstStage first) {
+    // The first stage kept what the finest noise asks for.
+    const double unit = std::max(first.energy, 1e-30) / pixels();
+    double finest = relativeNoise(options_.quality.value_or(Quality::kStandard)) * unit;
+    if (options_.budgetBytes || options_.psnr) {
+      finest = std::max(1e-30, *std::min_element(first.rowEnergy.begin(), first.rowEnergy.end()));
+      finest /= rowThreshold(1, layout_.pixelsPerBlock());
+    }
+    const int q = std::max(1, estimateRank(first.L, 0.7 * rankThreshold(finest)));
+    const bool full = q == std::min(first.L.rows(), first.L.cols());
+    ASSIGN_OR_RETURN(
+        SecondStage second,
+        factoriseAll(std::move(first.L), q,
+                     full ? SecondStageMethod::kExact : SecondStageMethod::kAuto, progress_));
+    noteEnergies(first.energy, second);
+    const RateDistortion stages(layout_, std::move(first.blockOffset), first.E, first.rowEnergy,
+                                std::move(second.U), std::move(second.V));
+    const auto make = [&](double noise) -> Result<void> {
+      if (progress_.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
+      setPacked(model_, stages.encode(noise));
+      summary_.noise = noise / unit;
+      countFactors(model_.rows(), model_.rank);
+      return {};
+    };
+    constexpr double kCoarsest = 1.0 / 4;  // as a part of the energy per pixel
+    double noise = finest;
+    if (options_.budgetBytes) {
+      ASSIGN_OR_RETURN(
+          noise, noiseNearest(finest, kCoarsest * unit, [&](double trial) {
+            return make(trial).and_then([&] { return fileBytes(); }).map([&](std::size_t bytes) {
+              return bytes <= *options_.budgetBytes;
+            });
+          }));
+    } else if (options_.psnr) {
+      ASSIGN_OR_RETURN(noise, noiseNearest(kCoarsest * unit, finest, [&](double trial) {
+                         return make(trial).and_then([&] { return measure(); }).map([&] {
+                           return summary_.error->srgbPsnr >= *options_.psnr;
+                         });
+                       }));
+    }
+    RETURN_IF_ERROR(make(noise));
+    RETURN_IF_ERROR(measure());
+    ASSIGN_OR_RETURN(summary_.modelBytes, fileBytes());
+    return checkTarget();
+  }
+
+  Result<void> checkTarget() const {
+    if (options_.budgetBytes && summary_.modelBytes > *options_.budgetBytes) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "budget of {} bytes: the smallest model of these pictures takes {}; ask for "
+                     "more, or densify to fewer lights",
+                     *options_.budgetBytes, summary_.modelBytes);
+    }
+    if (options_.psnr && summary_.error->srgbPsnr < *options_.psnr) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "PSNR of {:.2f} dB: a packed model of these pictures reaches {:.2f}; ask for "
+                     "less{}",
+                     *options_.psnr, summary_.error->srgbPsnr,
+                     summary_.densified ? ", or switch densifying off" : "");
+    }
+    return {};
+  }
+
+  // Of the model as it would be saved now, with room for its own figures.
+  Result<std::size_t> fileBytes() {
+    model_.notes = notesOf(summary_);
+    constexpr std::size_t kFigures = 96;
+    return savedBytes(model_).map([](std::size_t bytes) { return bytes + kFigures; });
+  }
+
+  const LightStack& stack_;
+  const CompressOptions& options_;
+  Progress& progress_;
+  RelightableModel& model_;
+  CompressSummary& summary_;
+  BlockLayout layout_;
+};
+
+// Into a result that holds the model's provenance.
+Result<void> compressInto(CompressResult& result, const LightStack& stack,
+                          const CompressOptions& options, Progress& progress) {
+  if (stack.size() < 1 || stack.width() < 1 || stack.height() < 1)
+    return failure(ErrorCode::kInvalidArgument, "there are no pictures to compress");
+  if (options.surface) RETURN_IF_ERROR(checkNearLight(stack, *options.surface));
+  try {
+    RETURN_IF_ERROR(Compression(stack, options, progress, result).run());
+  } catch (const std::bad_alloc&) {
+    return failure(ErrorCode::kUnsupported,
+                   "not enough memory; ask for less quality or lower ranks");
+  } catch (const std::exception& error) {
+    return failure(ErrorCode::kIo, "compression failed: {}", error.what());
+  }
+  result.model.notes = notesOf(result.summary);
+  return {};
 }
 
 }  // namespace
@@ -142,8 +339,22 @@ Result<void> CompressOptions::validate() const {
     return failure(ErrorCode::kInvalidArgument, "{} is {}; it must be {}", what, value, range);
   };
   if (blockSize < 2 || blockSize > 64) return refuse("block size", blockSize, "from 2 to 64");
-  if (blockRank < 0) return refuse("block rank", blockRank, "positive, or 0 for full");
-  if (rank < 0) return refuse("rank", rank, "positive, or 0 for full");
+  if (blockRank.value_or(1) < 0) return refuse("block rank", *blockRank, "positive, or 0 for full");
+  if (rank.value_or(1) < 0) return refuse("rank", *rank, "positive, or 0 for full");
+  if (storage == Storage::kPacked)
+    return refuse("storage of given ranks", nameOf(*storage), "f32, f16 or q8");
+  if (psnr && !(*psnr > 0 && *psnr < 100)) return refuse("PSNR", *psnr, "between 0 and 100 dB");
+  if (budgetBytes && *budgetBytes < 1) return refuse("budget", *budgetBytes, "at least a byte");
+  if (quality.has_value() + budgetBytes.has_value() + psnr.has_value() + papersSetting() > 1) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "quality, budget, PSNR and the paper's setting (block rank, rank, storage) "
+                   "exclude each other; give one");
+  }
+  if (psnr && surface) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "PSNR cannot be asked for with near light: the model's pictures are of far "
+                   "light, and none was captured");
+  }
   if (densify != kDensifyAuto && densify != kDensifyOff && (densify < 64 || densify > 10000)) {
     return refuse("number of nodes to densify to", densify, "from 64 to 10000, or 0 for none");
   }
@@ -152,13 +363,18 @@ Result<void> CompressOptions::validate() const {
   return {};
 }
 
+const char* nameOf(Quality quality) {
+  constexpr const char* kNames[] = {"small", "standard", "archive"};
+  return kNames[static_cast<int>(quality)];
+}
+
 Result<CompressResult> compress(const LightStack& stack, const CompressOptions& options,
                                 Progress& progress) {
   RETURN_IF_ERROR(options.validate());
   if (!options.holdOutRule.empty())
     return failure(ErrorCode::kInvalidArgument, "hold-out rules are for sketches");
-  ASSIGN_OR_RETURN(CompressResult result, guarded(stack, options, progress));
-  result.model.notes = notesOf(result.summary);
+  CompressResult result;
+  RETURN_IF_ERROR(compressInto(result, stack, options, progress));
   return result;
 }
 
@@ -167,12 +383,12 @@ Result<CompressResult> compress(const Sketch& sketch, const CompressOptions& opt
   RETURN_IF_ERROR(options.validate());
   ASSIGN_OR_RETURN(const HoldOut split, applyHoldOut(sketch, options.holdOutRule));
   ASSIGN_OR_RETURN(const LightStack stack, LightStack::create(sketch, split.training));
-  ASSIGN_OR_RETURN(CompressResult result, guarded(stack, options, progress));
+  CompressResult result;
   result.summary.heldOut = static_cast<int>(split.heldOut.size());
   result.model.holdOutRule = split.rule;
   result.model.heldOutIds = split.heldOut;
   result.model.sketch = sketch.folder().filename().string();
-  result.model.notes = notesOf(result.summary);
+  RETURN_IF_ERROR(compressInto(result, stack, options, progress));
   return result;
 }
 
@@ -189,6 +405,7 @@ std::string CompressSummary::describe() const {
                         capturesInterpolation);
   }
   if (nearLight) text += "near light      every block's own directions, every pixel's distance\n";
+  text += fmt::format("setting         {}\n", setting);
   text += fmt::format(
       "first stage     {} blocks of {} pixels, {} basis rows, {:.4f} % of the energy, {:.1f} s\n",
       blocks, pixelsPerBlock, rows, 100 * stage1Energy, stage1Seconds);
@@ -201,30 +418,45 @@ std::string CompressSummary::describe() const {
                       modelBytes,
                       static_cast<double>(capturedBytes) /
                           static_cast<double>(std::max<std::uint64_t>(modelBytes, 1)));
+  if (error) {
+    text += fmt::format(
+        "measured error  {:.2f} dB (8-bit sRGB PSNR), {:.2f} dB (linear), {:.3f} % (linear, "
+        "relative), on {} of the captured pictures\n",
+        error->srgbPsnr, error->linearPsnr, 100 * error->relative, error->pictures);
+  }
   return text;
 }
 
 Json CompressSummary::toJson() const {
-  return {{"captures", captures},
-          {"heldOut", heldOut},
-          {"lights", lights},
-          {"densified", densified},
-          {"nearLight", nearLight},
-          {"capturesInterpolation", capturesInterpolation},
-          {"blocks", blocks},
-          {"pixelsPerBlock", pixelsPerBlock},
-          {"rows", rows},
-          {"rank", rank},
-          {"exactSecondStage", exactSecondStage},
-          {"stage1Energy", stage1Energy},
-          {"stage2Energy", stage2Energy},
-          {"ratioStage1", ratioStage1},
-          {"ratio", ratio},
-          {"capturedBytes", capturedBytes},
-          {"modelBytes", modelBytes},
-          {"readSeconds", readSeconds},
-          {"stage1Seconds", stage1Seconds},
-          {"stage2Seconds", stage2Seconds}};
+  Json json{{"setting", setting},
+            {"noise", noise},
+            {"captures", captures},
+            {"heldOut", heldOut},
+            {"lights", lights},
+            {"densified", densified},
+            {"nearLight", nearLight},
+            {"capturesInterpolation", capturesInterpolation},
+            {"blocks", blocks},
+            {"pixelsPerBlock", pixelsPerBlock},
+            {"rows", rows},
+            {"rank", rank},
+            {"exactSecondStage", exactSecondStage},
+            {"stage1Energy", stage1Energy},
+            {"stage2Energy", stage2Energy},
+            {"ratioStage1", ratioStage1},
+            {"ratio", ratio},
+            {"capturedBytes", capturedBytes},
+            {"modelBytes", modelBytes},
+            {"readSeconds", readSeconds},
+            {"stage1Seconds", stage1Seconds},
+            {"stage2Seconds", stage2Seconds}};
+  if (error) {
+    json["error"] = {{"pictures", error->pictures},
+                     {"relative", error->relative},
+                     {"linearPsnr", error->linearPsnr},
+                     {"srgbPsnr", error->srgbPsnr}};
+  }
+  return json;
 }
 
 }  // namespace lightsketch

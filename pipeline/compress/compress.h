@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 
 #include "capture/frame/progress.h"
@@ -17,11 +18,27 @@
 
 namespace lightsketch {
 
+enum class Quality { kSmall, kStandard, kArchive };
+// As the command line calls it: "small", "standard", "archive".
+const char* nameOf(Quality quality);
+
 struct CompressOptions {
   int blockSize = 16;  // S, 2 to 64
-  int blockRank = 10;  // b; 0, or more than there are pixels in a block: full
-  int rank = 200;      // q; 0, or more than there can be: full
-  Storage storage = Storage::kFloat16;
+
+  // What the model is to be; at most one, kStandard if nothing is said. Ranks and roundings are
+  // then chosen by rate and distortion, and the model is a packed one.
+  std::optional<Quality> quality = {};
+  // The file's size: as good as can be, at least 98 percent of it are used where the pictures hold
+  // so much.
+  std::optional<std::uint64_t> budgetBytes = {};
+  // 8-bit sRGB PSNR in dB, mean over a sample of the captured pictures: as small as can be.
+  std::optional<double> psnr = {};
+
+  // Or the paper's setting, if any of these is given.
+  std::optional<int> blockRank = {};    // b, 10; 0, or more than there are pixels in a block: full
+  std::optional<int> rank = {};         // q, 200; 0, or more than there can be: full
+  std::optional<Storage> storage = {};  // half floats
+
   std::string holdOutRule = {};  // see applyHoldOut
   // Nodes of the hemispherical direction grid that the captured lights are densified to (those out
   // of reach of every captured light are left out).
@@ -38,10 +55,24 @@ struct CompressOptions {
   // temporary folder.
   std::filesystem::path scratchFolder = {};
 
+  bool papersSetting() const { return blockRank || rank || storage; }
   Result<void> validate() const;
 };
 
+// Of what a model's stored factors give back, against captured pictures that it was made from.
+struct MeasuredError {
+  int pictures = 0;       // spread over the captured ones
+  double relative = 0;    // linear light: rms error / rms, over all of them
+  double linearPsnr = 0;  // dB, against 1, over all of them
+  double srgbPsnr = 0;    // dB, 8-bit sRGB, mean over pictures
+};
+
 struct CompressSummary {
+  std::string setting;  // what was asked for, for people
+  // Squared error per stored number that ranks and roundings were chosen for (see
+  // rate_distortion.h), as a part of the captured energy per pixel; 0 in the paper's setting.
+  double noise = 0;
+
   int captures = 0;  // frames the model was made from
   int heldOut = 0;
   int lights = 0;  // n of the model
@@ -60,8 +91,9 @@ struct CompressSummary {
   // stage and after both.
   double ratioStage1 = 0;
   double ratio = 0;
-  std::uint64_t capturedBytes = 0;  // the frames as half floats
-  std::uint64_t modelBytes = 0;     // E, U and V as stored, before the file's lossless compression
+  std::uint64_t capturedBytes = 0;     // the frames as half floats
+  std::uint64_t modelBytes = 0;        // the file; in the paper's setting E, U and V
+  std::optional<MeasuredError> error;  // not with near lights: their pictures are not the model's
   double readSeconds = 0;
   double stage1Seconds = 0;
   double stage2Seconds = 0;

@@ -12,6 +12,7 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <filesystem>
+#include <memory>
 #include <optional>
 #include <string>
 #include <vector>
@@ -60,6 +61,8 @@ struct StoredFactor {
   std::vector<float> scale;
 };
 
+struct PackedCode;
+
 struct RelightableModel {
   BlockLayout layout;
   std::vector<std::int64_t> blockOffset;  // as Factors
@@ -73,6 +76,8 @@ struct RelightableModel {
   StoredFactor V;  // 3n x q (the transpose of the paper's V): light i, channel c, column k at
                    // (3 i + c) q + k; a scale per k
   Storage storage = Storage::kFloat16;
+  // Of a packed model, what its file holds and E, U and V were made from (packed_code.h).
+  std::shared_ptr<const PackedCode> code;
 
   std::vector<Eigen::Vector3d> lights;  // n, unit, scene frame
   std::vector<double> solidAngles;      // n, Voronoi cells in steradians

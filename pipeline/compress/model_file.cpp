@@ -26,6 +26,7 @@
 
 #include "capture/frame/file.h"
 #include "pipeline/compress/model.h"
+#include "pipeline/compress/packed_code.h"
 
 namespace lightsketch {
 namespace {
@@ -44,12 +45,12 @@ constexpr const char* kReadMe =
     "q x 32 "
     "(row r, column k: U[r // 32, k, r % 32]); V is 3n x q (row 3 i + c: light i, channel c). "
     "Storage "
-    "packed: U is q x rows, V is q x 3n, and E's rows (with E_scale) come in the order of their "
-    "index "
-    "within the block, all blocks' first rows, then the second ones. Times E_scale per row, "
-    "U_scale and "
-    "V_scale per k, where there are any. Under intensities s (n x 3): v = sum_i V[3 i + c] s[i, "
-    "c]; "
+    "packed: all are folded, x -> (x >> 1) ^ -(x & 1); rows stand in the order of their index "
+    "within the block, all blocks' first rows, then the second ones; E is p x rows, each row's "
+    "orthonormal DCT-II, coefficients by rising sum of frequencies, then by vertical frequency; U "
+    "is q x rows; V is 3q x n, of each k (r + g + b) / sqrt 3, (r - b) / sqrt 2, "
+    "(r - 2g + b) / sqrt 6. Times E_scale per row, U_scale and V_scale per k, where there are "
+    "any. Under intensities s (n x 3): v = sum_i V[3 i + c] s[i, c]; "
     "block j, channel c = E_j^T (U_j v). Linear RGB.";
 
 // The serial HDF5 library is not thread-safe.
@@ -144,65 +145,6 @@ Bytes deflate(const Bytes& in, int strategy) {
   return out;
 }
 
-// Where the rows of E lie in a packed file: natural row of each, all blocks' first ones first.
-std::vector<std::size_t> packedRowOrder(const std::vector<std::int64_t>& blockOffset) {
-  std::vector<std::size_t> order;
-  for (std::int64_t k = 0; order.size() < static_cast<std::size_t>(blockOffset.back()); ++k) {
-    for (std::size_t j = 0; j + 1 < blockOffset.size(); ++j) {
-      if (blockOffset[j] + k < blockOffset[j + 1])
-        order.push_back(static_cast<std::size_t>(blockOffset[j] + k));
-    }
-  }
-  return order;
-}
-
-// The factors of a packed model between memory's order and the file's, a rectangle of numbers each.
-struct PackedE {
-  static constexpr const char* kName = "E";
-  template <class Model>
-  static auto& factor(Model& model) {
-    return model.E;
-  }
-  using Number = std::int8_t;
-  explicit PackedE(const RelightableModel& model)
-      : order(packedRowOrder(model.blockOffset)),
-        rows(order.size()),
-        columns(static_cast<std::size_t>(model.layout.pixelsPerBlock())) {}
-  std::size_t at(std::size_t row, std::size_t column) const {
-    return order[row] * columns + column;
-  }
-  std::vector<std::size_t> order;
-  std::size_t rows, columns;
-};
-struct PackedU {
-  static constexpr const char* kName = "U";
-  template <class Model>
-  static auto& factor(Model& model) {
-    return model.U;
-  }
-  using Number = std::int16_t;
-  explicit PackedU(const RelightableModel& model)
-      : rows(static_cast<std::size_t>(model.rank)),
-        columns(static_cast<std::size_t>(model.rows())) {}
-  std::size_t at(std::size_t k, std::size_t row) const {
-    constexpr std::size_t kPanel = RelightableModel::kPanelRows;
-    return (row / kPanel * rows + k) * kPanel + row % kPanel;
-  }
-  std::size_t rows, columns;
-};
-struct PackedV {
-  static constexpr const char* kName = "V";
-  template <class Model>
-  static auto& factor(Model& model) {
-    return model.V;
-  }
-  using Number = std::int16_t;
-  explicit PackedV(const RelightableModel& model)
-      : rows(static_cast<std::size_t>(model.rank)), columns(3 * model.lights.size()) {}
-  std::size_t at(std::size_t k, std::size_t column) const { return column * rows + k; }
-  std::size_t rows, columns;
-};
-
 hid_t datasetProperties() {
   const hid_t properties = H5Pcreate(H5P_DATASET_CREATE);
   H5Pset_dset_no_attrs_hint(properties, true);  // no room for attributes in each header
@@ -230,40 +172,35 @@ class Writer {
   }
 
   // Through shuffle and deflate, on all cores.
-  template <class Packed>
-  void packed(const Packed& order, const RelightableModel& model) {
-    using Number = typename Packed::Number;
-    const std::span<const Number> values = Packed::factor(model).values.template as<Number>();
-    const Handle type(makeType(sizeof(Number) == 1 ? ElementType::kInt8 : ElementType::kInt16),
-                      H5Tclose);
-    const Shape shape{order.rows, order.columns};
-    if (order.rows == 0 || order.columns == 0) {
-      plain(Packed::kName, shape, type, nullptr);
+  void packed(const char* name, const Shape& shape, const std::vector<std::uint16_t>& values,
+              int strategy) {
+    if (values.empty()) {
+      plain(name, shape, H5T_STD_U16LE, nullptr);
       return;
     }
-    const hsize_t step = rowsPerChunk(order.rows, order.columns * sizeof(Number));
-    const std::size_t chunks = (order.rows + step - 1) / step;
+    const hsize_t step = rowsPerChunk(shape[0], shape[1] * sizeof(std::uint16_t));
+    const std::size_t chunks = (shape[0] + step - 1) / step;
     std::vector<Bytes> deflated(chunks);
-    tbb::enumerable_thread_specific<std::pair<std::vector<Number>, Bytes>> buffers;
+    tbb::enumerable_thread_specific<std::pair<std::vector<std::uint16_t>, Bytes>> buffers;
     tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) {
       // Chunks are all of one size; the last is filled up with zeros.
       auto& [numbers, planes] = buffers.local();
-      numbers.assign(step * order.columns, 0);
-      for (std::size_t i = 0; i < step && c * step + i < order.rows; ++i)
-        for (std::size_t k = 0; k < order.columns; ++k)
-          numbers[i * order.columns + k] = values[order.at(c * step + i, k)];
-      planes.resize(numbers.size() * sizeof(Number));
-      shuffle(std::as_bytes(std::span(numbers)), sizeof(Number), planes.data());
-      deflated[c] = deflate(planes, strategyFor(model));
+      numbers.assign(step * shape[1], 0);
+      const std::size_t from = c * numbers.size();
+      std::copy_n(values.begin() + static_cast<std::ptrdiff_t>(from),
+                  std::min(numbers.size(), values.size() - from), numbers.begin());
+      planes.resize(numbers.size() * sizeof(std::uint16_t));
+      shuffle(std::as_bytes(std::span(numbers)), sizeof(std::uint16_t), planes.data());
+      deflated[c] = deflate(planes, strategy);
     });
     const Handle space(H5Screate_simple(2, shape.data(), nullptr), H5Sclose);
     const Handle properties(datasetProperties(), H5Pclose);
     const hsize_t chunkShape[] = {step, shape[1]};
     check(H5Pset_chunk(properties, 2, chunkShape));
-    if (sizeof(Number) > 1) check(H5Pset_shuffle(properties));
+    check(H5Pset_shuffle(properties));
     check(H5Pset_deflate(properties, 9));
     const Handle set(
-        H5Dcreate2(file_, Packed::kName, type, space, H5P_DEFAULT, properties, H5P_DEFAULT),
+        H5Dcreate2(file_, name, H5T_STD_U16LE, space, H5P_DEFAULT, properties, H5P_DEFAULT),
         H5Dclose);
     check(set);
     for (std::size_t c = 0; c < chunks && ok_; ++c) {
@@ -415,13 +352,17 @@ bool buildFile(const RelightableModel& model, Use use) {
   Writer writer(file);
   std::optional<Places> places;
   if (model.storage == Storage::kPacked) {
-    const PackedE order(model);
-    writer.packed(order, model);
-    writer.packed(PackedU(model), model);
-    writer.packed(PackedV(model), model);
-    std::vector<float> scale;
-    for (const std::size_t row : order.order) scale.push_back(model.E.scale[row]);
-    writer.list("E_scale", scale);
+    const PackedCode& code = *model.code;
+    const auto rows = static_cast<hsize_t>(model.rows());
+    const auto q = static_cast<hsize_t>(model.rank);
+    const int strategy = strategyFor(model);
+    writer.packed("E", {static_cast<hsize_t>(model.layout.pixelsPerBlock()), rows}, code.E,
+                  strategy);
+    writer.packed("U", {q, rows}, code.U, strategy);
+    writer.packed("V", {3 * q, static_cast<hsize_t>(model.lightCount())}, code.V, strategy);
+    writer.list("E_scale", code.stepE);
+    writer.list("U_scale", code.stepU);
+    writer.list("V_scale", code.stepV);
   } else {
     const auto q = static_cast<hsize_t>(model.rank);
     const auto n = static_cast<hsize_t>(model.lightCount());
@@ -439,8 +380,6 @@ bool buildFile(const RelightableModel& model, Use use) {
     }
     if (!model.E.scale.empty()) writer.list("E_scale", model.E.scale);
   }
-  if (!model.U.scale.empty()) writer.list("U_scale", model.U.scale);
-  if (!model.V.scale.empty()) writer.list("V_scale", model.V.scale);
   std::vector<int> ranks;
   for (std::size_t j = 0; j + 1 < model.blockOffset.size(); ++j)
     ranks.push_back(static_cast<int>(model.blockOffset[j + 1] - model.blockOffset[j]));
@@ -750,35 +689,27 @@ class Reader {
   std::uint64_t maxBytes_;
 };
 
-// A packed factor into memory's order: chunks read one after the other, inflated by all cores.
-template <class Packed>
-Result<void> readPacked(Reader& reader, const Packed& order, RelightableModel& model,
-                        const std::string& where) {
-  using Number = typename Packed::Number;
-  StoredFactor& factor = Packed::factor(model);
-  const std::size_t stored =
-      std::is_same_v<Packed, PackedU>
-          ? static_cast<std::size_t>(model.panels()) * RelightableModel::kPanelRows * order.rows
-          : order.rows * order.columns;
-  factor.values =
-      FactorValues(sizeof(Number) == 1 ? ElementType::kInt8 : ElementType::kInt16, stored);
-  if (order.rows == 0 || order.columns == 0) return {};
+// A packed dataset: chunks read one after the other, inflated by all cores.
+Result<std::vector<std::uint16_t>> readPacked(Reader& reader, const char* name, const Shape& shape,
+                                              const std::string& where) {
+  using Number = std::uint16_t;
+  std::vector<Number> values(shape[0] * shape[1]);
+  if (values.empty()) return values;
   const auto refuse = [&] {
-    return failure(ErrorCode::kCorrupt, "{}: dataset {} cannot be read", where, Packed::kName);
+    return failure(ErrorCode::kCorrupt, "{}: dataset {} cannot be read", where, name);
   };
-  const Handle set(H5Dopen2(reader.file(), Packed::kName, H5P_DEFAULT), H5Dclose);
+  const Handle set(H5Dopen2(reader.file(), name, H5P_DEFAULT), H5Dclose);
   const Handle type(set ? H5Dget_type(set) : -1, H5Tclose);
   const Handle properties(set ? H5Dget_create_plist(set) : -1, H5Pclose);
   Shape chunk(2);
   if (!type || !properties || H5Tget_class(type) != H5T_INTEGER ||
       H5Tget_size(type) != sizeof(Number) || H5Pget_layout(properties) != H5D_CHUNKED ||
-      H5Pget_chunk(properties, 2, chunk.data()) != 2 || chunk[0] < 1 || chunk[1] != order.columns ||
-      chunk[0] > order.rows || H5Pget_nfilters(properties) != (sizeof(Number) > 1 ? 2 : 1)) {
+      H5Pget_chunk(properties, 2, chunk.data()) != 2 || chunk[0] < 1 || chunk[1] != shape[1] ||
+      chunk[0] > shape[0] || H5Pget_nfilters(properties) != 2) {
     return refuse();
   }
-  const std::size_t chunks = (order.rows + chunk[0] - 1) / chunk[0];
+  const std::size_t chunks = (shape[0] + chunk[0] - 1) / chunk[0];
   const std::size_t chunkBytes = chunk[0] * chunk[1] * sizeof(Number);
-  const std::span<Number> values = factor.values.template as<Number>();
   // Kept from chunk to chunk: fresh memory costs more than what is done in it.
   struct Buffers {
     Bytes deflated;
@@ -818,12 +749,12 @@ Result<void> readPacked(Reader& reader, const Packed& order, RelightableModel& m
       return;
     }
     unshuffle(buffers.planes, sizeof(Number), reinterpret_cast<std::byte*>(buffers.numbers.data()));
-    for (std::size_t i = 0; i < chunk[0] && c * chunk[0] + i < order.rows; ++i)
-      for (std::size_t k = 0; k < order.columns; ++k)
-        values[order.at(c * chunk[0] + i, k)] = buffers.numbers[i * order.columns + k];
+    const std::size_t from = c * buffers.numbers.size();
+    std::copy_n(buffers.numbers.begin(), std::min(buffers.numbers.size(), values.size() - from),
+                values.begin() + static_cast<std::ptrdiff_t>(from));
   });
   if (failed) return refuse();
-  return {};
+  return values;
 }
 
 // The factors of a file of version 1: floats or halfs, row-major, V as in the paper, through
@@ -896,32 +827,36 @@ Result<void> readFactors(Reader& reader, const Head& head, std::array<FactorValu
   model.rank = static_cast<int>(q);
   const auto rows = static_cast<hsize_t>(model.rows());
   const auto columns = 3 * static_cast<hsize_t>(model.lights.size());
+  const auto p = static_cast<hsize_t>(model.layout.pixelsPerBlock());
+  const Shape wantedE = packed ? Shape{p, rows} : Shape{rows, p};
   const Shape wantedU = packed ? Shape{q, rows}
                                : Shape{static_cast<hsize_t>(model.panels()), q,
                                        hsize_t{RelightableModel::kPanelRows}};
-  const Shape wantedV = packed ? Shape{q, columns} : Shape{columns, q};
-  if (e != Shape{rows, static_cast<hsize_t>(model.layout.pixelsPerBlock())} || u != wantedU ||
-      v != wantedV) {
+  const Shape wantedV = packed ? Shape{3 * q, columns / 3} : Shape{columns, q};
+  if (e != wantedE || u != wantedU || v != wantedV) {
     return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", where);
   }
-  ASSIGN_OR_RETURN(model.E.scale, reader.scales("E_scale"));
-  ASSIGN_OR_RETURN(model.U.scale, reader.scales("U_scale"));
-  ASSIGN_OR_RETURN(model.V.scale, reader.scales("V_scale"));
   if (!packed) {
-    model.E.values = std::move(plain[0]);
-    model.U.values = std::move(plain[1]);
-    model.V.values = std::move(plain[2]);
+    model.E = {std::move(plain[0]), {}};
+    model.U = {std::move(plain[1]), {}};
+    model.V = {std::move(plain[2]), {}};
+    ASSIGN_OR_RETURN(model.E.scale, reader.scales("E_scale"));
     return {};
   }
-  const PackedE order(model);
-  RETURN_IF_ERROR(readPacked(reader, order, model, where));
-  RETURN_IF_ERROR(readPacked(reader, PackedU(model), model, where));
-  RETURN_IF_ERROR(readPacked(reader, PackedV(model), model, where));
-  if (model.E.scale.size() != order.order.size())
+  auto code = std::make_shared<PackedCode>();
+  code->layout = model.layout;
+  code->blockOffset = model.blockOffset;
+  code->rank = model.rank;
+  code->lights = model.lightCount();
+  ASSIGN_OR_RETURN(code->E, readPacked(reader, "E", wantedE, where));
+  ASSIGN_OR_RETURN(code->U, readPacked(reader, "U", wantedU, where));
+  ASSIGN_OR_RETURN(code->V, readPacked(reader, "V", wantedV, where));
+  ASSIGN_OR_RETURN(code->stepE, reader.scales("E_scale"));
+  ASSIGN_OR_RETURN(code->stepU, reader.scales("U_scale"));
+  ASSIGN_OR_RETURN(code->stepV, reader.scales("V_scale"));
+  if (code->stepE.size() != rows || code->stepU.size() != q || code->stepV.size() != q)
     return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", where);
-  std::vector<float> scale(model.E.scale.size());
-  for (std::size_t i = 0; i < scale.size(); ++i) scale[order.order[i]] = model.E.scale[i];
-  model.E.scale = std::move(scale);
+  setPacked(model, std::move(code));
   return {};
 }
 
@@ -1004,6 +939,9 @@ template <class Use>
 Result<void> withFile(const RelightableModel& model, const std::string& where, Use use) {
   if (const auto misfit = misfitOf(model)) {
     return failure(ErrorCode::kInvalidArgument, "{}: {}", where, *misfit);
+  }
+  if (model.storage == Storage::kPacked && !model.code) {
+    return failure(ErrorCode::kInvalidArgument, "{}: a packed model without its code", where);
   }
   const std::scoped_lock lock(hdf5Mutex());
   H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);

@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "capture/frame/json.h"
+#include "pipeline/job/bench_job.h"
 #include "pipeline/job/jobs.h"
 #include "ui/cli/calibrate_commands.h"
 #include "ui/cli/command.h"
@@ -49,7 +50,7 @@ class InterruptWatch {
 // --- Options that are more than a number ------------------------------------------------------
 
 // "10" or "full" (as 0, which the jobs take as full).
-std::function<void(const std::string&)> rankInto(int& target) {
+std::function<void(const std::string&)> rankInto(std::optional<int>& target) {
   return [&target](const std::string& text) {
     if (text == "full") {
       target = 0;
@@ -74,14 +75,47 @@ void addCompressOptions(CLI::App& command, CompressOptions& options) {
   command.add_option("--block", options.blockSize, "block size in pixels")
       ->check(CLI::Range(4, 64))
       ->capture_default_str();
-  command.add_option_function<std::string>("--block-rank", rankInto(options.blockRank),
-                                           "basis pictures per block, or 'full' (default 10)");
-  command.add_option_function<std::string>("--rank", rankInto(options.rank),
-                                           "rank of the second stage, or 'full' (default 200)");
-  static const std::map<std::string, Storage> kStorage = {{"f32", Storage::kFloat32},
-                                                          {"f16", Storage::kFloat16}};
-  command.add_option("--storage", options.storage, "numbers in the file: f32 or f16 (default f16)")
-      ->transform(CLI::CheckedTransformer(kStorage));
+  const auto* ranks = "The paper's setting";
+  const auto* targets = "What the model is to be (one of these; ranks and rounding follow)";
+  static const std::map<std::string, Quality> kQuality = {
+      {nameOf(Quality::kSmall), Quality::kSmall},
+      {nameOf(Quality::kStandard), Quality::kStandard},
+      {nameOf(Quality::kArchive), Quality::kArchive}};
+  command.add_option("--quality", options.quality, "small, standard or archive (default standard)")
+      ->transform(CLI::CheckedTransformer(kQuality))
+      ->group(targets);
+  command
+      .add_option("--budget", options.budgetBytes, "the best model whose file has at most BYTES")
+      ->type_name("BYTES")
+      ->transform(CLI::AsSizeValue(true))
+      ->group(targets);
+  command
+      .add_option("--psnr", options.psnr,
+                  "the smallest model that gives captured pictures back with DB decibels (8-bit "
+                  "sRGB PSNR, mean over up to 64 of them)")
+      ->type_name("DB")
+      ->group(targets);
+  command
+      .add_option_function<std::string>("--block-rank", rankInto(options.blockRank),
+                                        "basis pictures per block, or 'full' (default 10)")
+      ->group(ranks);
+  command
+      .add_option_function<std::string>("--rank", rankInto(options.rank),
+                                        "rank of the second stage, or 'full' (default 200)")
+      ->group(ranks);
+  static const std::map<std::string, Storage> kStorage = {
+      {"f32", Storage::kFloat32}, {"f16", Storage::kFloat16}, {"q8", Storage::kQ8}};
+  command
+      .add_option("--storage", options.storage,
+                  "numbers in the file: f32, f16, or q8 for basis pictures in 8 bits (default "
+                  "f16)")
+      ->transform(CLI::CheckedTransformer(kStorage))
+      ->group(ranks);
+  command
+      .add_option("--memory", options.memoryLimitBytes,
+                  "for the pictures being worked on (default 1500 MB)")
+      ->type_name("BYTES")
+      ->transform(CLI::AsSizeValue(true));
   command.add_option_function<std::string>(
       "--densify",
       [&options](const std::string& text) {
@@ -151,6 +185,7 @@ struct Commands {
     addDropAndRestore(app);
     addInfo(app);
     addDemo(app);
+    addBench(app);
   }
 
   Common common;
@@ -486,6 +521,19 @@ struct Commands {
     });
   }
 
+  void addBench(CLI::App& app) {
+    auto* command =
+        add(app, "bench", "measure this machine, and the engine against what the machine allows",
+            "lightsketch bench --plot growth.svg");
+    command->add_flag("--quick", bench_.quick,
+                      "small pictures and few lights: whether all works, no figures to quote");
+    command->add_option("--plot", bench_.plot,
+                        "SVG of how time and memory grow with lights and with pixels");
+    command->callback([this] {
+      action = [this](ProgressBar& bar, const std::stop_token&) { return benchJob(bench_, bar); };
+    });
+  }
+
   RigJob rig_;
   RecordJob record_;
   ImportOptions import_;
@@ -497,6 +545,7 @@ struct Commands {
   DropJob drop_;
   std::filesystem::path info_;
   DemoJob demo_;
+  BenchJob bench_;
   std::optional<CalibrateCommands> calibrate_;
 };
 
