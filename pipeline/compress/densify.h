@@ -3,6 +3,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <span>
@@ -35,8 +36,9 @@ class Densifier {
 
   // Kept by a thread from block to block.
   struct Workspace {
-    std::vector<float> captured;  // n x 3 x p
+    std::array<RowMajorMatrixf, 2> captured;  // n x 3 p, in each encoded domain
     RowMajorMatrixf weights;
+    std::vector<float> log;
   };
   // Block `block` under the model's lights, linear: N x 3 x p. `halfs`: under the captured ones,
   // image i at halfs + i stride, 3 x p each.

@@ -1,14 +1,12 @@
 #include "pipeline/illumination/direction_interpolation.h"
 
-#include <Eigen/Eigenvalues>
-#include <Eigen/LU>
-
 #include <algorithm>
 #include <cmath>
 #include <limits>
 #include <numeric>
 #include <optional>
 
+#include "pipeline/illumination/kriging_system.h"
 #include "pipeline/illumination/spherical_hull.h"
 
 namespace lightsketch {
@@ -25,130 +23,17 @@ constexpr std::size_t kMaxSystem = 1024;
 constexpr std::size_t kNeighbours = 96;
 constexpr double kCoincident = 1e-12;  // squared chord
 
-int trendSize(int degree) { return (degree + 1) * (degree + 1); }
-
-// Polynomials in x, y, z restricted to the sphere: spherical harmonics up to `degree`, not
-// normalised.
-VectorXd trend(const Vector3d& d, int degree) {
-  const double x = d.x();
-  const double y = d.y();
-  const double z = d.z();
-  VectorXd values(16);
-  values << 1, x, y, z, x * y, y * z, z * x, x * x - y * y, 3 * z * z - 1, y * (3 * x * x - y * y),
-      x * y * z, y * (5 * z * z - 1), z * (5 * z * z - 3), x * (5 * z * z - 1), z * (x * x - y * y),
-      x * (x * x - 3 * y * y);
-  return values.head(trendSize(degree));
-}
-
-// Conditionally positive definite with the trend at least linear (thin plate, cubic) or constant
-// (linear), hence its sign.
-double kernelValue(Kernel kernel, const Vector3d& a, const Vector3d& b) {
-  const double squared = (a - b).squaredNorm();
-  if (squared == 0) return 0;
-  switch (kernel) {
-    case Kernel::kThinPlate:
-      return squared * 0.5 * std::log(squared);
-    case Kernel::kLinear:
-      return -std::sqrt(squared);
-    case Kernel::kCubic:
-      return squared * std::sqrt(squared);
-  }
-  return 0;
-}
-
-int lowestTrend(Kernel kernel) { return kernel == Kernel::kLinear ? 0 : 1; }
-
-// The dual system of kernel interpolation with a trend (universal kriging):
-//   [K + nugget I, P; P^T, 0] [w; m] = [k(q); p(q)]
-// inverted once. Its inverse also gives every leave-one-out error in closed form.
-class System {
- public:
-  // Nothing if the lights do not determine the trend (too few, or on one plane or conic).
-  static std::optional<System> solve(std::vector<Vector3d> lights, Kernel kernel, int degree,
-                                     double nugget) {
-    const auto n = static_cast<Eigen::Index>(lights.size());
-    const auto size = n + trendSize(degree);
-    if (trendSize(degree) > n) return std::nullopt;
-    System system;
-    system.kernel_ = kernel;
-    system.degree_ = degree;
-    MatrixXd P(n, trendSize(degree));
-    for (Eigen::Index i = 0; i < n; ++i) {
-      P.row(i) = trend(lights[static_cast<std::size_t>(i)], degree).transpose();
-    }
-    // A trend that the lights hardly determine would swing wildly between and beyond them.
-    const VectorXd gram = Eigen::SelfAdjointEigenSolver<MatrixXd>(P.transpose() * P).eigenvalues();
-    if (gram[0] < 1e-9 * gram[gram.size() - 1]) return std::nullopt;
-    MatrixXd& A = system.inverse_;
-    A = MatrixXd::Zero(size, size);
-    for (Eigen::Index i = 0; i < n; ++i) {
-      for (Eigen::Index j = 0; j < i; ++j) {
-        A(i, j) = A(j, i) = kernelValue(kernel, lights[static_cast<std::size_t>(i)],
-                                        lights[static_cast<std::size_t>(j)]);
-      }
-      A(i, i) = nugget;
-    }
-    A.topRightCorner(n, P.cols()) = P;
-    A.bottomLeftCorner(P.cols(), n) = P.transpose();
-    // Eigen, not BLAS: systems are small and many, and threads would cost more than they give.
-    A = Eigen::PartialPivLU<MatrixXd>(A).inverse();
-    if (!A.allFinite()) return std::nullopt;
-    system.lights_ = std::move(lights);
-    return system;
-  }
-
-  VectorXd weights(const Vector3d& q) const { return inverse_.topRows(count()) * rightSide(q); }
-
-  // Weights at q of the system without light i (whose own weight comes out as zero): the inverse of
-  // a matrix less row and column i is B - b_i b_i^T / b_ii.
-  VectorXd weightsWithout(Eigen::Index i, const Vector3d& q) const {
-    VectorXd right = rightSide(q);
-    right[i] = 0;
-    const VectorXd w = inverse_ * right;
-    return (w - inverse_.col(i) * (w[i] / inverse_(i, i))).head(count());
-  }
-
-  // Squared leave-one-out errors of the first lights, e_i = (B y)_i / b_ii (Rippa 1999), summed
-  // over all samples y: b_i^T (sum of y y^T) b_i / b_ii^2. Nothing if the lights but one do not
-  // determine the trend.
-  std::optional<VectorXd> leaveOneOut(const MatrixXd& products, Eigen::Index targets) const {
-    const VectorXd diagonal = inverse_.diagonal().head(targets);
-    if (diagonal.minCoeff() <= 0) return std::nullopt;
-    const MatrixXd rows = inverse_.topLeftCorner(targets, count());
-    const VectorXd sums = (rows * products).cwiseProduct(rows).rowwise().sum();
-    return VectorXd(sums.cwiseQuotient(diagonal.cwiseAbs2()));
-  }
-
- private:
-  Eigen::Index count() const { return static_cast<Eigen::Index>(lights_.size()); }
-  VectorXd rightSide(const Vector3d& q) const {
-    VectorXd right(inverse_.rows());
-    for (Eigen::Index i = 0; i < count(); ++i) {
-      right[i] = kernelValue(kernel_, q, lights_[static_cast<std::size_t>(i)]);
-    }
-    right.tail(inverse_.rows() - count()) = trend(q, degree_);
-    return right;
-  }
-
-  Kernel kernel_ = Kernel::kLinear;
-  int degree_ = 0;
-  std::vector<Vector3d> lights_;
-  MatrixXd inverse_;
-};
-
 // The best system the lights allow: the trend lowered as far as needed, then the linear kernel with
 // a constant trend, which any set of distinct lights determines.
-std::optional<System> solveLowering(const std::vector<Vector3d>& lights,
-                                    InterpolationSettings& settings) {
-  for (int degree = settings.trendDegree; degree >= lowestTrend(settings.kernel); --degree) {
-    if (auto system = System::solve(lights, settings.kernel, degree, settings.nugget)) {
-      settings.trendDegree = degree;
-      return system;
-    }
+std::optional<KrigingSystem> solveLowering(const std::vector<Vector3d>& lights,
+                                           InterpolationSettings& settings) {
+  for (; settings.trendDegree >= lowestTrend(settings.kernel); --settings.trendDegree) {
+    if (auto system = KrigingSystem::solve(lights, settings)) return system;
   }
   settings.kernel = Kernel::kLinear;
   settings.trendDegree = 0;
-  return System::solve(lights, settings.kernel, 0, settings.nugget);
+  settings.stretch = 1;
+  return KrigingSystem::solve(lights, settings);
 }
 
 // Indices of the `count` lights nearest to a direction.
@@ -188,8 +73,11 @@ Vector3d clamped(const Vector3d& direction, const SphericalHull& hull, double fr
 
 std::string InterpolationSettings::describe() const {
   static constexpr const char* kNames[] = {"thin plate", "linear", "cubic"};
-  return fmt::format("{} kernel, trend of degree {}, nugget {:g}, clamped by {:g} outside the hull",
-                     kNames[static_cast<int>(kernel)], trendDegree, nugget, outsideClamp);
+  return fmt::format(
+      "{} kernel{}, trend of degree {}, nugget {:g}, clamped by {:g} outside the hull",
+      kNames[static_cast<int>(kernel)],
+      stretch == 1 ? std::string() : fmt::format(" stretched by {:g}", stretch), trendDegree,
+      nugget, outsideClamp);
 }
 
 struct DirectionInterpolator::State {
@@ -200,14 +88,14 @@ struct DirectionInterpolator::State {
   std::vector<Vector3d> lights;       // distinct ones
   std::vector<std::size_t> distinct;  // per light given: its place in `lights`
   std::vector<double> share;          // per light given: 1 / number of lights that coincide with it
-  std::optional<System> system;       // empty if solved per query from the nearest lights
+  std::optional<KrigingSystem> system;  // empty if solved per query from the nearest lights
 };
 
 Result<DirectionInterpolator> DirectionInterpolator::create(std::span<const Vector3d> lights,
                                                             const InterpolationSettings& settings) {
   RETURN_IF_ERROR(checkDirections(lights));
   if (settings.trendDegree < 0 || settings.trendDegree > 3 || !(settings.nugget >= 0) ||
-      !(settings.outsideClamp >= 0 && settings.outsideClamp <= 1)) {
+      !(settings.outsideClamp >= 0 && settings.outsideClamp <= 1) || !(settings.stretch >= 0)) {
     return failure(ErrorCode::kInvalidArgument, "interpolation settings out of range: {}",
                    settings.describe());
   }
@@ -333,7 +221,8 @@ Result<InterpolationSettings> chooseInterpolation(std::span<const Vector3d> ligh
         double error[3] = {0, 0, 0};
         bool determined = true;
         for (const auto& part : neighbourhoods) {
-          const auto system = System::solve(part.lights, kernel, degree, nugget);
+          const auto system = KrigingSystem::solve(
+              part.lights, {.kernel = kernel, .trendDegree = degree, .nugget = nugget});
           const auto squared =
               system ? system->leaveOneOut(part.products, part.targets) : std::nullopt;
           if (!squared) {
@@ -362,7 +251,10 @@ Result<InterpolationSettings> chooseInterpolation(std::span<const Vector3d> ligh
         for (int c = 0; c < 3; ++c) {
           if (error[c] < bestError) {
             bestError = error[c];
-            best = {kernel, degree, nugget, kClamps[c]};
+            best = {.kernel = kernel,
+                    .trendDegree = degree,
+                    .nugget = nugget,
+                    .outsideClamp = kClamps[c]};
           }
         }
       }

@@ -20,6 +20,9 @@ struct InterpolationSettings {
   // Outside the lights' hull, the query is moved towards the hull by this fraction of its distance
   // (1: clamped to the hull).
   double outsideClamp = 0;
+  // Height counts so many times in the kernel's distance: 0 compares directions as seen from above,
+  // 1 is the sphere's chord; more where the picture changes fast as a low light rises.
+  double stretch = 1;
   std::string describe() const;
 };
 
