@@ -257,7 +257,7 @@ Result<SecondStage> factoriseAll(LargeMatrix L, int q, SecondStageMethod method,
   const bool full = method == SecondStageMethod::kAuto && q == side;
   SecondStage result;
   result.exact = full || method == SecondStageMethod::kExact ||
-                 (method == SecondStageMethod::kAuto && q > side / 6);
+                 (method == SecondStageMethod::kAuto && q > side / 4);
   progress.update(kStage, 0, 1);
   std::vector<double> rowEnergy(static_cast<std::size_t>(L.rows()));
   const auto& matrix = L.matrix();

@@ -52,15 +52,18 @@ namespace hn = hwy::HWY_NAMESPACE;
 
 using D = hn::ScalableTag<float>;
 using V = hn::Vec<D>;
-constexpr std::size_t kLanes = HWY_MAX_BYTES / sizeof(float);
+constexpr std::size_t kLanes = HWY_LANES(float);
 constexpr std::size_t kPanel = 2 * kLanes;
 // Rows of a register tile, two vectors wide: enough sums under way to hide the latency of a
 // multiply-add, few enough for the registers.
-#if HWY_TARGET <= HWY_AVX3 || HWY_ARCH_ARM
+#if HWY_TARGET == HWY_SCALAR
+constexpr int kTileRows = 2;
+#elif HWY_TARGET <= HWY_AVX3 || HWY_ARCH_ARM
 constexpr int kTileRows = 8;
 #else
 constexpr int kTileRows = 4;
 #endif
+static_assert(kPanel % kTileRows == 0);  // a tile's rows lie in one panel
 
 // rows x (vectors * lanes) of C, += or =, from `depth` steps: A by single values, B by vectors.
 template <int kRows, int kVectors>
