@@ -215,11 +215,11 @@ Result<void> Relighter::setLight(const LightIntensities& intensities) {
       }
       if (!changed) continue;
       on_ += Index{isOn(intensities, i)} - Index{isOn(intensities_, i)};
+      intensities_.row(i) = intensities.row(i);
       changes.push_back(change);
     }
   }
   if (changes.empty()) return {};
-  intensities_ = intensities;
 
   // Each increment rounds v by at most 2^-53 of its size, which is at most max |V| times the
   // magnitude of the light. Done anew once the sum of that could be an eighth of the rounding of
