@@ -480,8 +480,8 @@ Result<Compression> compressed(Bench& bench, const PictureSize& size, int lights
 
 // The paper's job.
 Result<void> benchCompress(Bench& bench) {
-  const PictureSize size = bench.job.quick ? PictureSize{320, 240} : PictureSize{640, 480};
-  const int lights = bench.job.quick ? 512 : 4096;
+  const PictureSize size = bench.job.quick ? PictureSize{160, 120} : PictureSize{640, 480};
+  const int lights = bench.job.quick ? 256 : 4096;
   ASSIGN_OR_RETURN(Compression job, compressed(bench, size, lights, bench.job.quick ? 1 : 3, true));
   const double limit = job.limit(bench);
   auto start = Clock::now();

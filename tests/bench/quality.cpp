@@ -12,6 +12,7 @@
 #include <filesystem>
 #include <fstream>
 #include <memory>
+#include <numbers>
 
 #include "pipeline/compress/compress.h"
 #include "pipeline/relight/relighter.h"
@@ -25,13 +26,14 @@ namespace fs = std::filesystem;
 
 const char* verdict(bool good) { return good ? "ok" : "MISSED"; }
 
-// `count` of the directions, spread over all.
-std::vector<Eigen::Vector3d> someOf(const std::vector<Eigen::Vector3d>& all, std::size_t count) {
-  // Odd steps, so that not all lie in the same columns of the grid.
-  const std::size_t step = std::max<std::size_t>((all.size() - 1) / count | 1, 3) - 2;
+// `count` of the directions, spread over all by the golden ratio: no two rows of the grid alike.
+std::vector<Eigen::Vector3d> someOf(const std::vector<Eigen::Vector3d>& all, int count) {
   std::vector<Eigen::Vector3d> some;
-  for (std::size_t i = step / 2; i < all.size() && some.size() < count; i += step)
-    some.push_back(all[i]);
+  for (int k = 0; k < count; ++k) {
+    const double place = (k + 0.5) * (std::numbers::phi - 1);
+    some.push_back(all[static_cast<std::size_t>((place - std::floor(place)) *
+                                                static_cast<double>(all.size()))]);
+  }
   return some;
 }
 
@@ -208,9 +210,10 @@ Result<void> run(bool quick, const fs::path& plotFile) {
                               sphericalHarmonics(5)};
   start = Clock::now();
   ASSIGN_OR_RETURN(const auto fitted, fitBases(bench.stack(), bases));
+  const double fitSeconds = secondsSince(start);  // of all of them
   double bestPeer = pcaRow.seen.linearPsnr;
   for (const Peer& peer : fitted) {
-    ASSIGN_OR_RETURN(const Row row, bench.add(peer, secondsSince(start)));
+    ASSIGN_OR_RETURN(const Row row, bench.add(peer, fitSeconds));
     bestPeer = std::max(bestPeer, row.seen.linearPsnr);
   }
   std::vector<Row> ours;

@@ -254,5 +254,37 @@ TEST_F(CommandLine, RefusesBadRelightingInput) {
   expectRefusal({"import", path("set"), "--out", path("sketch"), "--quiet"}, "exists");
 }
 
+TEST_F(CommandLine, BenchHasEveryFigure) {
+  const auto outcome = run({"bench", "--quick", "--quiet", "--json", path("figures.json"), "--plot",
+                            path("growth.svg")});
+  ASSERT_EQ(outcome.exitCode, 0) << outcome.error;
+  const Json figures = Json::parse(slurp(path("figures.json")));
+  const auto expectPositive = [](const Json& object, const std::vector<std::string>& names) {
+    for (const auto& name : names) {
+      ASSERT_TRUE(object.contains(name)) << name;
+      EXPECT_GT(object[name].get<double>(), 0) << name;
+    }
+  };
+  expectPositive(figures["limits"], {"readBytesPerSecond", "multiplyAddFlopPerSecond"});
+  ASSERT_EQ(figures["render"].size(), 4u);  // two sizes, f16 and q8
+  for (const Json& row : figures["render"]) {
+    expectPositive(row, {"seconds", "framesPerSecond", "ofMemoryBandwidth", "ofMultiplyAddPeak"});
+    EXPECT_LE(row["largestLevelError"].get<int>(), 1);
+  }
+  expectPositive(figures["render"][0], {"oneLightSeconds", "allLightsSeconds"});
+  ASSERT_EQ(figures["load"].size(), 2u);  // q8 and packed
+  for (const Json& row : figures["load"]) {
+    expectPositive(row, {"fileBytes", "seconds", "limitSeconds", "ratio"});
+  }
+  expectPositive(figures["compress"],
+                 {"waitSeconds", "stage1Seconds", "stage2Seconds", "limitSeconds", "ofLimit",
+                  "residentBytes", "exactStage2Seconds"});
+  ASSERT_EQ(figures["growth"].size(), 4u);  // two numbers of lights, two of pixels
+  for (const Json& row : figures["growth"]) expectPositive(row, {"seconds", "residentBytes"});
+  EXPECT_NE(slurp(path("growth.svg")).find("</svg>"), std::string::npos);
+  // Nothing is left of the models that it loads.
+  EXPECT_EQ(entriesBelow(path("")).size(), 2u);
+}
+
 }  // namespace
 }  // namespace lightsketch
