@@ -9,7 +9,7 @@ data=${LIGHTSKETCH_DATA:-$root/../shared/data}
 
 usage() {
   cat <<'TEXT'
-./run bench realrti     six RealRTI sets, every eighth light held out, full rank: PSNR per set and mean
+./run bench realrti     six RealRTI sets, every eighth light held out, full rank and by quality: PSNR, bytes
 ./run bench kill        a recording on the simulated rig, killed (kill -9) twenty times and gone on with
 ./run bench sets        DiLiGenT "cat" (16-bit, linear, light intensities) and 895 hand-held frames
 
@@ -53,16 +53,27 @@ measure() {
 heading=$'set\tcaptures\theld out\tPSNR\tinside\toutside\tSSIM\trel.err\tbits/px\tlights\trank\tseconds'
 
 realrti() {
-  local item
+  local item way
   for item in 1 3 5 8 9 11; do need "rti/realrti_item$item"; done
-  {
-    echo "$heading"
-    for item in 1 3 5 8 9 11; do
-      measure "item$item" "$data/rti/realrti_item$item" every:8:4 --block-rank full --rank full --storage f32
-    done
-  } | tee "$work/table"
-  awk -F'\t' 'NR > 1 { sum += $4; ++n } END {
-    printf "\nmean PSNR over %d sets: %.2f dB (goal 31.5; best basis of RelightLab on these: 29.2)\n", n, sum / n }' "$work/table"
+  for way in full archive standard small; do
+    local options=(--quality "$way")
+    [ $way != full ] || options=(--block-rank full --rank full --storage f32)
+    {
+      echo "$heading"
+      for item in 1 3 5 8 9 11; do
+        measure "item$item" "$data/rti/realrti_item$item" every:8:4 "${options[@]}"
+      done
+    } | tee "$work/table"
+    local bar='no bar'
+    case $way in
+      full) bar='goal 31.5 dB' ;;
+      archive) bar='bar 31.5 dB at 20 bits per pixel' ;;
+      small) bar='bar 30.5 dB at 8 bits per pixel' ;;
+    esac
+    awk -F'\t' -v way="$way" -v bar="$bar" 'NR > 1 { sum += $4; bits += $9; ++n } END {
+      printf "%s: mean %.2f dB at %.1f bits per pixel (%s; best basis of RelightLab on these: 29.2 dB at 37)\n\n",
+        way, sum / n, bits / n, bar }' "$work/table"
+  done
 }
 
 sets() {

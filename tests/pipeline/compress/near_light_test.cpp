@@ -77,7 +77,7 @@ TEST(NearLight, ModelOfANearLampIsThatOfAFarOneOnceTheSurfaceIsKnown) {
     for (std::size_t i = 0; i < result->model.lights.size(); i += 37) {
       const Vector3d light = result->model.lights[i];
       if (light.z() < 0.4) continue;
-      Eigen::VectorXf s = Eigen::VectorXf::Zero(result->model.V.cols());
+      Eigen::VectorXf s = Eigen::VectorXf::Zero(3 * result->model.lightCount());
       s.segment(3 * static_cast<Eigen::Index>(i), 3).setOnes();
       sum += rmsDifference(reconstruct(result->model, s),
                            relief([&](const Vector3d&) { return light; }));
