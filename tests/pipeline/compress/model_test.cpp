@@ -8,6 +8,7 @@
 #include <random>
 
 #include "capture/frame/file.h"
+#include "pipeline/compress/packed_code.h"
 #include "tests/pipeline/compress/test_sketch.h"
 
 namespace lightsketch {
@@ -34,16 +35,28 @@ RelightableModel someModel(Storage storage) {
   if (storage != Storage::kPacked) {
     setFactors(model, factors, storage);
   } else {
-    setFactors(model, factors, Storage::kQ8);
-    model.storage = storage;
-    const auto integers = [&](StoredFactor& factor, std::size_t scales) {
-      FactorValues values(ElementType::kInt16, factor.values.count());
-      for (std::size_t i = 0; i < values.count(); ++i) values.set(i, 9000 * factor.values.at(i));
-      factor.values = std::move(values);
-      for (std::size_t k = 0; k < scales; ++k) factor.scale.push_back(std::abs(normal(random)));
+    auto code = std::make_shared<PackedCode>();
+    code->layout = factors.layout;
+    code->blockOffset = factors.blockOffset;
+    code->rank = 7;
+    code->lights = 20;
+    const auto integers = [&](std::size_t count) {
+      std::vector<std::uint16_t> values(count);
+      for (auto& value : values) value = foldSign(static_cast<int>(20 * normal(random)));
+      return values;
     };
-    integers(model.U, 7);
-    integers(model.V, 7);
+    const auto steps = [&](std::size_t count) {
+      std::vector<float> values(count);
+      for (auto& value : values) value = 0.001f + std::abs(normal(random));
+      return values;
+    };
+    code->E = integers(256 * 36);
+    code->U = integers(7 * 36);
+    code->V = integers(3 * 7 * 20);
+    code->stepE = steps(36);
+    code->stepU = steps(7);
+    code->stepV = steps(7);
+    setPacked(model, std::move(code));
   }
   model.interpolation = {InterpolationSettings::Kernel::kCubic, 2, 1e-3, 0.5};
   model.holdOutRule = "every:8:4";
