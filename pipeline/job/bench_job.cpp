@@ -528,7 +528,7 @@ struct GrowthPoint {
 // Two curves in double-logarithmic axes, each beside the line of even growth.
 std::string curve(const std::vector<GrowthPoint>& points, double left, const std::string& axis) {
   std::string svg;
-  const double decades = 3;
+  const double decades = 2;
   const auto x = [&](double value) {
     return left + 50 +
            270 * std::log10(value / points.front().x) /
@@ -561,7 +561,8 @@ std::string curve(const std::vector<GrowthPoint>& points, double left, const std
   svg += fmt::format("<text x='{:.1f}' y='352' text-anchor='middle'>{}</text>\n", left + 185, axis);
   const GrowthPoint& last = points.back();
   svg += fmt::format(
-      "<text x='{0:.1f}' y='30' fill='#06c'>time, from {1:.2f} to {2:.1f} s</text>\n"
+      "<text x='{0:.1f}' y='30' fill='#06c'>time, from {1:.2f} to {2:.2f} s</text>\n"
+      "<text x='{0:.1f}' y='14' fill='#777'>times the first; dashed: even growth</text>\n"
       "<text x='{0:.1f}' y='46' fill='#c40'>memory, from {3:.0f} to {4:.0f} MB</text>\n",
       left + 60, points.front().seconds, last.seconds, points.front().memory * 1e-6,
       last.memory * 1e-6);
