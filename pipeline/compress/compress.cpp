@@ -143,6 +143,7 @@ class Compression {
     ASSIGN_OR_RETURN(const Densifier densifier,
                      Densifier::create(stack_, scratch, layout_, options_, progress_));
     model_.lights = densifier.lights();
+    model_.singleLamp = options_.singleLamp;
     ASSIGN_OR_RETURN(model_.solidAngles, voronoiSolidAngles(model_.lights));
     describe(densifier);
     RankRule rule{.most = options_.blockRank.value_or(10)};
@@ -171,7 +172,7 @@ class Compression {
     summary_.setting = settingOf(options_);
     summary_.captures = stack_.size();
     summary_.lights = static_cast<int>(model_.lights.size());
-    summary_.densified = densifier.active();
+    summary_.densified = !densifier.description().empty();
     summary_.nearLight = options_.surface != nullptr;
     summary_.capturesInterpolation = densifier.description();
     summary_.blocks = layout_.blocks();

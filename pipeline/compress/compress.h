@@ -49,6 +49,9 @@ struct CompressOptions {
   // directions of its own and every pixel its own distance, and the model is of far lights. Needs
   // lamp positions in the sketch; always densifies. Nothing: the lamps count as far away.
   std::shared_ptr<const SurfacePoints> surface = {};
+  // The model holds square roots: better pictures of one lamp in as many bytes, but of one lamp
+  // only.
+  bool singleLamp = false;
   // For the strips of images being worked on. Stage 2 needs 3n floats per row of E and U besides.
   std::size_t memoryLimitBytes = 1'500'000'000;
   // Where the decoded images (6 bytes a pixel) wait; nothing is left there. Empty: the system's

@@ -374,8 +374,12 @@ Result<RowMajorMatrixf> nearWeights(const LightStack& stack, const LightPlan& pl
 
 struct Densifier::State {
   State(const LightStack& captures, const BlockLayout& blocks, const SurfacePoints* points,
-        LightPlan lightPlan)
-      : stack(captures), layout(blocks), surface(points), plan(std::move(lightPlan)) {
+        LightPlan lightPlan, bool squareRoots)
+      : stack(captures),
+        layout(blocks),
+        surface(points),
+        plan(std::move(lightPlan)),
+        roots(squareRoots) {
     if (!plan.active || surface) {  // near lights are encoded after their distance
       tables[0] = HalfTable([](float value) { return value; });
       return;
@@ -393,6 +397,7 @@ struct Densifier::State {
   BlockLayout layout;
   const SurfacePoints* surface;
   LightPlan plan;
+  bool roots;  // of a single-lamp model
   PerDomain<bool> wanted{};
   PerDomain<HalfTable> tables;
 };
@@ -404,18 +409,26 @@ Result<Densifier> Densifier::create(const LightStack& stack, const ScratchStack&
   ASSIGN_OR_RETURN(LightPlan plan,
                    planLights(stack, scratch, layout, options.densify, options.surface != nullptr));
   Densifier densifier;
-  densifier.state_ =
-      std::make_shared<const State>(stack, layout, options.surface.get(), std::move(plan));
+  densifier.state_ = std::make_shared<const State>(stack, layout, options.surface.get(),
+                                                   std::move(plan), options.singleLamp);
   return densifier;
 }
 
 const std::vector<Vector3d>& Densifier::lights() const { return state_->plan.lights; }
 const InterpolationSettings& Densifier::interpolation() const { return state_->plan.interpolation; }
-bool Densifier::active() const { return state_->plan.active; }
+bool Densifier::active() const { return state_->plan.active || state_->roots; }
 const std::string& Densifier::description() const { return state_->plan.description; }
 
 Result<void> Densifier::columns(int block, const std::uint16_t* halfs, std::size_t stride,
                                 Workspace& workspace, std::vector<float>& columns) const {
+  RETURN_IF_ERROR(linearColumns(block, halfs, stride, workspace, columns));
+  if (!state_->roots) return {};
+  for (float& value : columns) value = std::sqrt(std::max(value, 0.0f));
+  return {};
+}
+
+Result<void> Densifier::linearColumns(int block, const std::uint16_t* halfs, std::size_t stride,
+                                      Workspace& workspace, std::vector<float>& columns) const {
   const State& s = *state_;
   const LightPlan& plan = s.plan;
   const auto images = static_cast<std::size_t>(s.stack.size());

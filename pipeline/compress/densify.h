@@ -29,7 +29,8 @@ class Densifier {
   const std::vector<Eigen::Vector3d>& lights() const;
   // Between the model's lights, in linear light.
   const InterpolationSettings& interpolation() const;
-  // False: the pictures are the captured ones, and columns() only turns halfs into floats.
+  // False: the pictures are the captured ones, and columns() only turns halfs into floats. True
+  // also where they are the captured ones' square roots.
   bool active() const;
   // How the captured lights are interpolated, for people; empty if it does nothing.
   const std::string& description() const;
@@ -40,12 +41,15 @@ class Densifier {
     RowMajorMatrixf weights;
     std::vector<float> log;
   };
-  // Block `block` under the model's lights, linear: N x 3 x p. `halfs`: under the captured ones,
+  // Block `block` under the model's lights, linear (its square roots for a
+  // single-lamp model): N x 3 x p. `halfs`: under the captured ones,
   // image i at halfs + i stride, 3 x p each.
   Result<void> columns(int block, const std::uint16_t* halfs, std::size_t stride,
                        Workspace& workspace, std::vector<float>& columns) const;
 
  private:
+  Result<void> linearColumns(int block, const std::uint16_t* halfs, std::size_t stride,
+                             Workspace& workspace, std::vector<float>& columns) const;
   struct State;
   std::shared_ptr<const State> state_;
 };

@@ -23,7 +23,8 @@ struct PictureError {
   double srgb = 0;    // of differences in 8 bits
 };
 
-PictureError compare(const Factors& factors, const Coefficients& v, const RadianceImage& picture) {
+PictureError compare(const Factors& factors, const Coefficients& v, bool singleLamp,
+                     const RadianceImage& picture) {
   const BlockLayout& layout = factors.layout;
   const int size = layout.blockSize;
   PictureError error;
@@ -39,7 +40,8 @@ PictureError compare(const Factors& factors, const Coefficients& v, const Radian
       for (int x = 0; x < std::min(size, layout.width - left); ++x) {
         for (int c = 0; c < 3; ++c) {
           const float truth = picture(left + x, top + y, c);
-          const float value = pixels(y * size + x, c);
+          const float drawn = pixels(y * size + x, c);
+          const float value = singleLamp ? std::pow(std::max(drawn, 0.0f), 2.0f) : drawn;
           error.truth += std::pow(double{truth}, 2);
           error.linear += std::pow(double{value} - double{truth}, 2);
           error.srgb += std::pow(int{srgbEncode8(value)} - int{srgbEncode8(truth)}, 2);
@@ -90,7 +92,7 @@ Result<MeasuredError> measureError(const RelightableModel& model, const LightSta
       for (Index light = 0; light < weights.size(); ++light)
         v += weights[light] * factors.V.middleCols(3 * light, 3);
     }
-    errors[static_cast<std::size_t>(k)] = compare(factors, v, *picture);
+    errors[static_cast<std::size_t>(k)] = compare(factors, v, model.singleLamp, *picture);
     progress.update(kStage, ++done, errors.size());
   });
   if (failed) return tl::unexpected<Error>(std::move(*failed));

@@ -76,6 +76,9 @@ struct RelightableModel {
   StoredFactor V;  // 3n x q (the transpose of the paper's V): light i, channel c, column k at
                    // (3 i + c) q + k; a scale per k
   Storage storage = Storage::kFloat16;
+  // E^T U V gives square roots of radiance: better pictures of one lamp in as many bytes, and wrong
+  // ones of more, since roots do not add up. Relighting squares what it draws.
+  bool singleLamp = false;
   // Of a packed model, what its file holds and E, U and V were made from (packed_code.h).
   std::shared_ptr<const PackedCode> code;
 

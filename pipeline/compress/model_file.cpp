@@ -51,7 +51,7 @@ constexpr const char* kReadMe =
     "is q x rows; V is 3q x n, of each k (r + g + b) / sqrt 3, (r - b) / sqrt 2, "
     "(r - 2g + b) / sqrt 6. Times E_scale per row, U_scale and V_scale per k, where there are "
     "any. Under intensities s (n x 3): v = sum_i V[3 i + c] s[i, c]; "
-    "block j, channel c = E_j^T (U_j v). Linear RGB.";
+    "block j, channel c = E_j^T (U_j v). Linear RGB; its square root if singleLamp.";
 
 // The serial HDF5 library is not thread-safe.
 std::mutex& hdf5Mutex() {
@@ -397,6 +397,7 @@ bool buildFile(const RelightableModel& model, Use use) {
   writer.integer("width", model.layout.width);
   writer.integer("height", model.layout.height);
   writer.integer("blockSize", model.layout.blockSize);
+  writer.integer("singleLamp", model.singleLamp);
   writer.text("interpolation", toJson(model.interpolation).dump());
   writer.text("holdOutRule", model.holdOutRule);
   writer.text("sketch", model.sketch);
@@ -878,6 +879,9 @@ Result<RelightableModel> readContent(hid_t file, const std::filesystem::path& pa
     RETURN_IF_ERROR(readFactorsOfVersion1(reader, model, where));
   } else {
     RETURN_IF_ERROR(readFactors(reader, head, std::move(plain), model, where));
+  }
+  if (head.version > 1) {
+    ASSIGN_OR_RETURN(model.singleLamp, reader.integer("singleLamp", 0, 1));
   }
   if (const auto misfit = misfitOf(model))
     return failure(ErrorCode::kCorrupt, "{}: {}", where, *misfit);

@@ -7,6 +7,13 @@ namespace lightsketch {
 namespace {
 
 Result<LightIntensities> intensitiesFor(const RelightJob& job, const RelightableModel& model) {
+  if (model.singleLamp &&
+      (!job.environment.empty() || !job.lightsFile.empty() || job.lamps.size() > 1)) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "{}: a single-lamp model shows one --light; compress without --single-lamp for "
+                   "several or an environment",
+                   job.model.string());
+  }
   if (!job.environment.empty()) {
     ASSIGN_OR_RETURN(const auto map, readImage(job.environment, TransferFunction::kSrgb));
     return intensitiesOf(map, model.lights, job.environmentOptions);
@@ -20,6 +27,7 @@ Result<LightIntensities> intensitiesFor(const RelightJob& job, const Relightable
                    "relight: no light given; use --light, --lights or --environment");
   }
   ASSIGN_OR_RETURN(const auto interpolator, interpolatorFor(model));
+  if (model.singleLamp) return singleLamp(lamps[0], interpolator);
   return intensitiesOf(lamps, interpolator);
 }
 

@@ -138,10 +138,12 @@ void draw(const RelightableModel& model, const std::vector<double>& v, const Ren
   LitBasis basis;
   basis.rank = keptOf(static_cast<std::size_t>(model.rank), options.share);
   std::vector<float> lit(3 * basis.rank);
+  const double exposure =
+      model.singleLamp ? std::sqrt(double{options.exposure}) : double{options.exposure};
   for (std::size_t c = 0; c < 3; ++c) {
     float* const to = lit.data() + c * basis.rank;
     for (std::size_t k = 0; k < basis.rank; ++k) {
-      double value = v[c * litStride(model.rank) + k] * double{options.exposure};
+      double value = v[c * litStride(model.rank) + k] * exposure;
       if (!model.U.scale.empty()) value *= double{model.U.scale[k]};
       if (!model.V.scale.empty()) value *= double{model.V.scale[k]};
       to[k] = static_cast<float>(value);
@@ -253,6 +255,14 @@ void Relighter::renderHalf(std::span<std::byte> pixels, std::size_t strideBytes,
 
 void Relighter::render(RadianceImage& picture, const RenderOptions& options) const {
   drawFloats(*model_, v_, options, picture);
+}
+
+Result<LightIntensities> singleLamp(const DirectionalLamp& lamp,
+                                    const DirectionInterpolator& interpolator) {
+  if (lamp.colour.minCoeff() < 0)
+    return failure(ErrorCode::kInvalidArgument, "a single-lamp model cannot show a negative lamp");
+  const DirectionalLamp root{lamp.direction, lamp.colour.cwiseSqrt()};
+  return intensitiesOf(std::span(&root, 1), interpolator);
 }
 
 Result<RadianceImage> relight(const RelightableModel& model, const LightIntensities& intensities) {

@@ -40,7 +40,8 @@ class Relighter {
 
   // v = V s. Reads only the columns of V whose lights have changed since the last call, or those
   // of all lights that are on, where these are fewer or rounding could show (see README). Fails if
-  // s does not fit the model.
+  // s does not fit the model. Of a single-lamp model s are the weights of one lamp's neighbours
+  // times the square root of its colour, see singleLamp().
   Result<void> setLight(const LightIntensities& intensities);
 
   // 8-bit sRGB, within one level of srgbEncode8, in bytes B, G, R, 255. Row y starts at byte
@@ -73,5 +74,9 @@ class Relighter {
 // Linear RGB picture under intensities s (n x 3): E^T (U (V s)). Fails if s or the model's parts do
 // not fit. Not clipped: small negative values can occur. Thread-safe; uses all cores.
 Result<RadianceImage> relight(const RelightableModel& model, const LightIntensities& intensities);
+
+// The intensities that show one lamp on a single-lamp model. Fails if its colour is negative.
+Result<LightIntensities> singleLamp(const DirectionalLamp& lamp,
+                                    const DirectionInterpolator& interpolator);
 
 }  // namespace lightsketch

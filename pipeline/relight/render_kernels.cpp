@@ -256,9 +256,17 @@ struct Cursor {
 template <std::size_t kVectors, PixelFormat kFormat, class T>
 HWY_INLINE void drawTile(const T* e, std::size_t pixels, std::size_t rows, std::size_t ahead,
                          const std::array<const float*, 3>& l, Cursor& cursor, std::size_t pixel,
-                         bool streamed) {
+                         bool streamed, bool roots) {
   Sums<kVectors> sums;
   multiply<kVectors, kVectors>(e + pixel, 0, pixels, rows, l, ahead, sums);
+  if (roots) {
+    for (auto& pixelSums : sums.at) {
+      for (VF& sum : pixelSums) {
+        const VF root = hn::Max(sum, hn::Zero(F()));
+        sum = hn::Mul(root, root);
+      }
+    }
+  }
 #pragma GCC unroll 8
   for (std::size_t t = 0; t < kVectors; ++t) {
     storePixels<kFormat>(sums.at[t][0], sums.at[t][1], sums.at[t][2], cursor.to, streamed);
@@ -304,10 +312,12 @@ HWY_NOINLINE void drawBlocks(const RelightableModel& model, const LitBasis& basi
     const std::size_t ahead = rows * pixels;
     std::size_t pixel = 0;
     for (; pixel + kTile * kLanes <= padded; pixel += kTile * kLanes) {
-      drawTile<kTile, kFormat>(block, pixels, kept, ahead, l, cursor, pixel, direct && streamed);
+      drawTile<kTile, kFormat>(block, pixels, kept, ahead, l, cursor, pixel, direct && streamed,
+                               model.singleLamp);
     }
     for (; pixel < padded; pixel += kLanes) {
-      drawTile<1, kFormat>(block, pixels, kept, ahead, l, cursor, pixel, direct && streamed);
+      drawTile<1, kFormat>(block, pixels, kept, ahead, l, cursor, pixel, direct && streamed,
+                           model.singleLamp);
     }
     if (direct) continue;
     for (std::size_t line = 0; line < height; ++line) {

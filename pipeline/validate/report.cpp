@@ -399,11 +399,46 @@ std::string fileName(const std::string& path) {
   return (clean.has_filename() ? clean : clean.parent_path()).filename().string();
 }
 
+Result<std::string> superpositionSection(const Superposition& sum, const ValidationReport& report) {
+  std::string page;
+  ASSIGN_OR_RETURN(const std::string sumPictures,
+                   tripleTags(sum.pictures, "weighted sum of the captures", "one relit picture"));
+  page += fmt::format(
+      "<section>\n<div class=\"together\">\n<h2>Superposition</h2>\n<p>Light adds up, so one "
+      "picture relit under a whole "
+      "environment must equal the sum of the captures, each weighted by the light that falls into "
+      "its Voronoi cell. Environment: <code>{}</code>. The cells of the {} captures cover "
+      "{:.2f}&thinsp;sr ({:.0f}&thinsp;% of a hemisphere).</p>\n<figure class=\"light\">\n"
+      "<figcaption><strong>All lamps at once</strong> <span>PSNR {}{}</span> <span>SSIM {}</span> "
+      "<span>relative error {}</span></figcaption>\n{}</figure>\n",
+      htmlEscaped(sum.environment), report.captured, sum.coveredSolidAngle,
+      100 * sum.coveredSolidAngle / (2 * std::numbers::pi), psnrText(sum.sameLamps),
+      sum.sameLamps.identical ? "" : " dB", ssimText(sum.sameLamps.ssim),
+      percent(sum.sameLamps.relative), sumPictures);
+  page += "</div>\n";
+  page +=
+      "<table>\n<thead><tr><th>against the sum of the captures</th><th>PSNR<br>dB</th>"
+      "<th>SSIM</th><th>relative<br>error</th></tr></thead>\n<tbody>\n";
+  const auto sumRow = [](std::string_view name, const PictureError& error) {
+    return fmt::format("<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>\n", name,
+                       psnrText(error), ssimText(error.ssim), percent(error.relative));
+  };
+  page += sumRow("the model under the same lamps, one per capture", sum.sameLamps);
+  page += sumRow("the model integrating the environment over its own lights&#8217; cells",
+                 sum.ownCells);
+  page += fmt::format(
+      "</tbody>\n</table>\n<p class=\"soft\">Linearity: two coloured lamps together differ from "
+      "the "
+      "sum of their pictures by at most {:.1e} of the largest value, which is rounding.</p>\n"
+      "</section>\n",
+      sum.linearity);
+  return page;
+}
+
 Result<std::string> html(const ValidationReport& report) {
   const ColourScale colour = scaleOf(report);
   std::unordered_set<std::size_t> shown;
   for (const ShownLight& light : report.shown) shown.insert(light.light);
-  const Superposition& sum = report.superposition;
 
   std::string page = fmt::format(
       "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
@@ -422,8 +457,10 @@ Result<std::string> html(const ValidationReport& report) {
   page += tile(ssimText(report.all.ssim), "", "mean SSIM");
   page += tile(fmt::format("{:.2f}", 100 * report.all.relative), "%",
                "mean relative error in linear light");
-  page += tile(fmt::format("{:.2f}", sum.sameLamps.psnr), "dB",
-               "superposition, against the sum of the captures");
+  if (report.superposition) {
+    page += tile(fmt::format("{:.2f}", report.superposition->sameLamps.psnr), "dB",
+                 "superposition, against the sum of the captures");
+  }
   if (report.size) {
     page += tile(
         fmt::format("{:.{}f}", report.size->bitsPerPixel, report.size->bitsPerPixel < 1000 ? 1 : 0),
@@ -484,37 +521,15 @@ Result<std::string> html(const ValidationReport& report) {
   }
   page += "</tbody>\n</table>\n</div>\n</section>\n";
 
-  ASSIGN_OR_RETURN(const std::string sumPictures,
-                   tripleTags(sum.pictures, "weighted sum of the captures", "one relit picture"));
-  page += fmt::format(
-      "<section>\n<div class=\"together\">\n<h2>Superposition</h2>\n<p>Light adds up, so one "
-      "picture relit under a whole "
-      "environment must equal the sum of the captures, each weighted by the light that falls into "
-      "its Voronoi cell. Environment: <code>{}</code>. The cells of the {} captures cover "
-      "{:.2f}&thinsp;sr ({:.0f}&thinsp;% of a hemisphere).</p>\n<figure class=\"light\">\n"
-      "<figcaption><strong>All lamps at once</strong> <span>PSNR {}{}</span> <span>SSIM {}</span> "
-      "<span>relative error {}</span></figcaption>\n{}</figure>\n",
-      htmlEscaped(sum.environment), report.captured, sum.coveredSolidAngle,
-      100 * sum.coveredSolidAngle / (2 * std::numbers::pi), psnrText(sum.sameLamps),
-      sum.sameLamps.identical ? "" : " dB", ssimText(sum.sameLamps.ssim),
-      percent(sum.sameLamps.relative), sumPictures);
-  page += "</div>\n";
-  page +=
-      "<table>\n<thead><tr><th>against the sum of the captures</th><th>PSNR<br>dB</th>"
-      "<th>SSIM</th><th>relative<br>error</th></tr></thead>\n<tbody>\n";
-  const auto sumRow = [](std::string_view name, const PictureError& error) {
-    return fmt::format("<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td></tr>\n", name,
-                       psnrText(error), ssimText(error.ssim), percent(error.relative));
-  };
-  page += sumRow("the model under the same lamps, one per capture", sum.sameLamps);
-  page += sumRow("the model integrating the environment over its own lights&#8217; cells",
-                 sum.ownCells);
-  page += fmt::format(
-      "</tbody>\n</table>\n<p class=\"soft\">Linearity: two coloured lamps together differ from "
-      "the "
-      "sum of their pictures by at most {:.1e} of the largest value, which is rounding.</p>\n"
-      "</section>\n",
-      sum.linearity);
+  if (report.superposition) {
+    ASSIGN_OR_RETURN(const std::string section,
+                     superpositionSection(*report.superposition, report));
+    page += section;
+  } else {
+    page +=
+        "<section>\n<h2>Superposition</h2>\n<p>This is a single-lamp model: it holds square roots, "
+        "which do not add up, so it shows one lamp at a time.</p>\n</section>\n";
+  }
 
   page += "<section>\n<h2>How it was made</h2>\n<table class=\"facts\">\n<tbody>\n";
   page += factRow("sketch", fmt::format("<code>{}</code>", htmlEscaped(report.sketch)));

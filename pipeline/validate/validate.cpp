@@ -483,8 +483,11 @@ Result<ValidationReport> validate(const Sketch& sketch, const RelightableModel& 
         tripleOf(shownPictures[i], shownTruths[i], report.pictureExposure, report.pictureShrink);
   }
 
-  ASSIGN_OR_RETURN(report.superposition, superpose(sketch, model, interpolator, options,
-                                                   report.lights, report.pictureShrink, progress));
+  if (!model.singleLamp) {
+    ASSIGN_OR_RETURN(report.superposition,
+                     superpose(sketch, model, interpolator, options, report.lights,
+                               report.pictureShrink, progress));
+  }
   return report;
 }
 
@@ -509,9 +512,13 @@ std::string ValidationReport::describe() const {
   text += lightLine("worst", worst());
   text += lightLine("median", median());
   text += lightLine("best", best());
-  text += fmt::format("{:<22}{:>7}{:>11.2f}{:>8}{:>11.2f}%\n", "sum of captures", captured,
-                      superposition.sameLamps.psnr, ssimText(superposition.sameLamps.ssim),
-                      100 * superposition.sameLamps.relative);
+  if (superposition) {
+    text += fmt::format("{:<22}{:>7}{:>11.2f}{:>8}{:>11.2f}%\n", "sum of captures", captured,
+                        superposition->sameLamps.psnr, ssimText(superposition->sameLamps.ssim),
+                        100 * superposition->sameLamps.relative);
+  } else {
+    text += "single-lamp model     sums of lights would come out wrong: none shown\n";
+  }
   if (size) {
     text += fmt::format(
         "model                 {} bytes, {:.1f} bits per pixel, {:.1f} : 1 of half float\n",
@@ -531,7 +538,6 @@ Json toJson(const ValidationReport& report) {
     entry["nearestCapturedDegrees"] = light.nearestCapturedDegrees;
     lights.push_back(std::move(entry));
   }
-  const Superposition& sum = report.superposition;
   Json json = {{"format", "lightsketch-validation"},
                {"formatVersion", 1},
                {"sketch", report.sketch},
@@ -557,14 +563,16 @@ Json toJson(const ValidationReport& report) {
                {"worst", report.worst().id},
                {"median", report.median().id},
                {"best", report.best().id},
-               {"superposition",
-                {{"environment", sum.environment},
-                 {"exposure", sum.exposure},
-                 {"sameLamps", toJson(sum.sameLamps)},
-                 {"ownCells", toJson(sum.ownCells)},
-                 {"coveredSteradians", sum.coveredSolidAngle},
-                 {"linearity", sum.linearity}}},
                {"lights", std::move(lights)}};
+  if (report.superposition) {
+    const Superposition& sum = *report.superposition;
+    json["superposition"] = {{"environment", sum.environment},
+                             {"exposure", sum.exposure},
+                             {"sameLamps", toJson(sum.sameLamps)},
+                             {"ownCells", toJson(sum.ownCells)},
+                             {"coveredSteradians", sum.coveredSolidAngle},
+                             {"linearity", sum.linearity}};
+  }
   if (report.size) {
     json["size"] = {{"bytes", report.size->bytes},
                     {"bitsPerPixel", report.size->bitsPerPixel},

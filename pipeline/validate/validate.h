@@ -115,7 +115,7 @@ struct ValidationReport {
   MeanError all;
   MeanError inside;
   MeanError outside;
-  Superposition superposition;
+  std::optional<Superposition> superposition;  // not of single-lamp models: theirs do not add up
   std::optional<ModelSize> size;
 
   std::vector<Eigen::Vector3d> capturedDirections;

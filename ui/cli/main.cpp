@@ -111,6 +111,10 @@ void addCompressOptions(CLI::App& command, CompressOptions& options) {
                   "f16)")
       ->transform(CLI::CheckedTransformer(kStorage))
       ->group(ranks);
+  command.add_flag(
+      "--single-lamp", options.singleLamp,
+      "factor square roots: better pictures in as many bytes, but of one lamp only; sums "
+      "of lights and environments are refused");
   command
       .add_option("--memory", options.memoryLimitBytes,
                   "for the pictures being worked on (default 1500 MB)")

@@ -183,6 +183,32 @@ TEST(Compress, SuperpositionHolds) {
   EXPECT_LT(largestDifference(both, sum), 5e-6);  // float sums over 200 terms
 }
 
+// Shadows and highlights take fewer basis pictures as square roots.
+TEST(Compress, ASingleLampModelShowsOneLampBetter) {
+  const auto lights = randomLights(60, 5, 0.3);
+  const auto sketch = ballSketch(64, 64, lights);
+  CompressOptions options{.blockRank = 4, .rank = 20};
+  const auto linear = compressed(sketch, options);
+  options.singleLamp = true;
+  const auto roots = compressed(sketch, options);
+  EXPECT_FALSE(linear.model.singleLamp);
+  EXPECT_TRUE(roots.model.singleLamp);
+  double psnrLinear = 0;
+  double psnrRoots = 0;
+  for (const auto& light : lights) {
+    const auto truth = renderBalls(64, 64, light);
+    psnrLinear +=
+        psnrSrgb(reconstruct(linear.model, intensitiesAt(linear.model, light)), truth) / 60;
+    auto picture = reconstruct(roots.model, intensitiesAt(roots.model, light));
+    for (float& value : picture.values()) value = std::pow(std::max(value, 0.0f), 2.0f);
+    psnrRoots += psnrSrgb(picture, truth) / 60;
+  }
+  fmt::print("one lamp: {:.2f} dB from square roots, {:.2f} dB linear\n", psnrRoots, psnrLinear);
+  EXPECT_GT(psnrRoots, psnrLinear + 1);
+  // The model's own measure squares, too.
+  EXPECT_NEAR(roots.summary.error->srgbPsnr, psnrRoots, 0.1);
+}
+
 // Unseen lights: a densified model of 60 captures against the truth that only a renderer has, and
 // against interpolating the same captures in linear light.
 TEST(Compress, DensifiedModelsPredictUnseenLights) {

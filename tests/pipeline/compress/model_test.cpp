@@ -58,6 +58,7 @@ RelightableModel someModel(Storage storage) {
     code->stepV = steps(7);
     setPacked(model, std::move(code));
   }
+  model.singleLamp = true;
   model.interpolation = {InterpolationSettings::Kernel::kCubic, 2, 1e-3, 0.5};
   model.holdOutRule = "every:8:4";
   model.heldOutIds = {4, 12};
@@ -130,6 +131,7 @@ TEST(Model, ComesBackFromAFileAsItWas) {
     EXPECT_TRUE(same(loaded->U, model.U)) << nameOf(storage);
     EXPECT_TRUE(same(loaded->V, model.V)) << nameOf(storage);
     EXPECT_EQ(loaded->storage, storage);
+    EXPECT_TRUE(loaded->singleLamp);
     EXPECT_EQ(loaded->rank, 7);
     EXPECT_EQ(loaded->layout.width, 40);
     EXPECT_EQ(loaded->layout.height, 25);

@@ -323,6 +323,22 @@ TEST_F(Relighting, ExposureIsAFactorAndAShareUsesTheFirstBases) {
   });
 }
 
+// What it holds are square roots: negative ones are black, and exposure is a factor on the square.
+TEST_F(Relighting, ASingleLampModelIsSquared) {
+  onEveryTarget([] {
+    RelightableModel model = randomModel(50, 40, 16, 9, 23, 32);
+    model.singleLamp = true;
+    Relighter relighter = relighterOf(std::move(model));
+    const LightIntensities s = randomIntensities(9, 33, 9);
+    ASSERT_TRUE(relighter.setLight(s));
+    Picture truth = reference(relighter.model(), s);
+    for (double& value : truth) value = 3 * std::pow(std::max(value, 0.0), 2);
+    RenderOptions options;
+    options.exposure = 3;
+    expectSame(pictureOf(relighter, options).values(), truth);
+  });
+}
+
 TEST_F(Relighting, IncrementsGiveWhatAFreshStartGives) {
   onEveryTarget([] {
     constexpr int kLights = 600;

@@ -78,7 +78,7 @@ TEST_F(Validate, FindsAKnownError) {
   const auto report = run(model_);
   ASSERT_TRUE(report);
   EXPECT_NEAR(report->all.relative, 0.1, 1e-3);
-  EXPECT_NEAR(report->superposition.sameLamps.relative, 0.1, 1e-3);
+  EXPECT_NEAR(report->superposition->sameLamps.relative, 0.1, 1e-3);
   EXPECT_LT(report->all.psnr, 35);
 }
 
@@ -122,7 +122,7 @@ TEST_F(Validate, TheRelitSumIsTheSumOfTheCaptures) {
   options.environmentName = "given";
   const auto report = run(model_, options);
   ASSERT_TRUE(report);
-  const Superposition& sum = report->superposition;
+  const Superposition& sum = report->superposition.value();
   EXPECT_EQ(sum.environment, "given");
   EXPECT_LT(sum.sameLamps.relative, 5e-4);  // half-float captures
   EXPECT_GT(sum.sameLamps.psnr, 55);

@@ -71,6 +71,24 @@ TEST_F(CommandLine, TakesASetFromImportToReport) {
           .exitCode,
       0);
 
+  // A model of square roots shows one lamp, and refuses to add.
+  ASSERT_EQ(run({"compress", path("sketch"), "--single-lamp", "--hold-out", "every:8:4", "--out",
+                 path("one.lsd"), "--quiet"})
+                .exitCode,
+            0);
+  ASSERT_EQ(run({"relight", path("one.lsd"), "--light", "0.3,0.2,0.9", "--out", path("one.png")})
+                .exitCode,
+            0);
+  expectRefusal(
+      {"relight", path("one.lsd"), "--light", "0,0,1", "--light=-1,0,1", "--out", path("two.png")},
+      "one.lsd", "single-lamp");
+  expectRefusal(
+      {"relight", path("one.lsd"), "--environment", path("sky.exr"), "--out", path("two.png")},
+      "one.lsd", "single-lamp");
+  const auto measured = run({"validate", path("sketch"), "--model", path("one.lsd"), "--report",
+                             path("one-report"), "--quiet"});
+  EXPECT_EQ(measured.exitCode, 0) << measured.error;
+
   // The relit picture is the analytic one: light (0.3, 0.2, 0.9) on the same bumps.
   const auto picture = readImage(path("a.png"));
   ASSERT_TRUE(picture);
