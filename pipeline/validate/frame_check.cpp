@@ -40,6 +40,7 @@ constexpr float kMostResidual = 20;
 constexpr float kMostLocalScale = 2;
 constexpr double kMostLocalSpread = 2.5;
 // Nobody sees less than these: 1.25 % of brightness, 0.17 degrees.
+constexpr float kLeastScale = 0.002f;  // of white: half a level of 8 bits
 constexpr double kLeastGainSpread = 0.0125;
 constexpr double kLeastShiftSpread = 0.003;
 constexpr double kFarthestShift = 0.35;  // radians; a fit that goes farther has lost its way
@@ -60,6 +61,7 @@ T robustSigma(std::vector<T>& absolute) {  // from absolute deviations of a Gaus
 struct Fit {
   Eigen::Vector2d shift = Eigen::Vector2d::Zero();  // radians in the frame's tangent plane
   double gain = 0;                                  // relative change of the square root
+  double gainAlone = 0;                             // the same with the shift held at 0
   double residual = 0;                              // log rms of what is left, in local scales
   double dark = 0;  // the worst connected dark patch: sum of residual over scale, per cell
   double darkPart = 0;
@@ -74,9 +76,13 @@ struct Usual {
 };
 
 struct Scores {
-  Usual gain, shift, dark, residual;
+  Usual gain, gainAlone, shift, dark, residual;
+  // Near the horizon a shift looks much like a gain: both ways of asking must agree.
+  double exposure(const Fit& fit) const {
+    return std::min(std::abs(gain.score(fit.gain)), std::abs(gainAlone.score(fit.gainAlone)));
+  }
   double worst(const Fit& fit, const FrameCheckOptions& options) const {
-    return std::max({std::abs(gain.score(fit.gain)) * options.threshold / options.exposureThreshold,
+    return std::max({exposure(fit) * options.threshold / options.exposureThreshold,
                      shift.score(fit.shift.norm()), dark.score(fit.dark),
                      residual.score(fit.residual)});
   }
@@ -100,6 +106,10 @@ class Checker {
     for (MatrixXf* matrix : {&predicted_, &alongU_, &alongV_, &residual_, &fitted_, &scale_}) {
       matrix->resize(m, n_);
     }
+    std::vector<float> values(pictures_.data(), pictures_.data() + pictures_.size());
+    const auto white = values.begin() + static_cast<std::ptrdiff_t>(values.size() * 99 / 100);
+    std::nth_element(values.begin(), white, values.end());
+    leastScale_ = std::max(1e-6f, kLeastScale * *white);
     std::vector<double> reach;
     for (int i = 0; i < n_; ++i) {
       Lamp& lamp = lamps_[at(i)];
@@ -132,7 +142,7 @@ class Checker {
     const float cells = static_cast<float>(pictures_.rows());
     FrameVerdict verdict;
     verdict.direction = verdict.fitted = direction(i);
-    verdict.exposureScore = std::abs(usual.gain.score(fit.gain));
+    verdict.exposureScore = usual.exposure(fit);
     verdict.directionScore = usual.shift.score(fit.shift.norm());
     verdict.shadowScore = usual.dark.score(fit.dark);
     verdict.residualScore = usual.residual.score(fit.residual);
@@ -144,20 +154,23 @@ class Checker {
     verdict.residualFitted = fitted_.col(i).norm() / std::sqrt(cells);
     if (usual.worst(fit, options_) <= options_.threshold) return verdict;
 
-    // What is dark or odd after gain and direction were fitted is neither's fault.
+    // A shift of several degrees leaves much in the first-order fit, so it is tried to its end
+    // first. What then is dark or odd is neither gain's nor direction's fault.
     const bool odd = verdict.residualScore > options_.threshold;
-    if (verdict.shadowScore > options_.threshold) {
+    const bool shifted = verdict.directionScore > options_.threshold;
+    if (shifted && followShift(i, verdict)) {
+      verdict.fault = FrameFault::kDirection;
+    } else if (verdict.shadowScore > options_.threshold) {
       verdict.fault = FrameFault::kShadow;
       verdict.darkPart = fit.darkPart;
       verdict.darkBox = fit.darkBox;
     } else if (odd) {
       verdict.fault = FrameFault::kOther;
-    } else if (verdict.directionScore > options_.threshold) {
+    } else if (shifted) {
       verdict.fault = FrameFault::kDirection;
-      followShift(i, verdict);
     } else {
       verdict.fault = FrameFault::kExposure;
-      verdict.correctable = true;
+      correctGain(i, verdict);
     }
     const Lamp& lamp = lamps_[at(i)];
     for (std::size_t k = 0; k < lamp.predictors.size(); ++k) {
@@ -304,22 +317,34 @@ class Checker {
         const float cell = ofCell[at(c)];
         const float local = std::min(robustSigma(values), kMostLocalScale * std::max(cell, all));
         scale_(c, i) =
-            std::max(1e-6f, std::sqrt(local * local + 0.25f * (cell * cell + all * all)));
+            std::max(leastScale_, std::sqrt(local * local + 0.25f * (cell * cell + all * all)));
       }
     });
   }
 
   // Gain and shift that explain the picture best: picture = predicted (1 + gain) + along . shift,
   // Cauchy's loss, by reweighting.
-  Vector3f solve(const Eigen::Matrix<float, Eigen::Dynamic, 3>& design, const VectorXf& target,
-                 VectorXf& left) const {
-    Vector3f x = Vector3f::Zero();
+  template <int Unknowns>
+  Eigen::Matrix<float, Unknowns, 1> solve(
+      const Eigen::Matrix<float, Eigen::Dynamic, Unknowns>& design, const VectorXf& target,
+      VectorXf& left) const {
+    using Solution = Eigen::Matrix<float, Unknowns, 1>;
+    Solution x = Solution::Zero();
     left = target;
     for (int step = 0; step < 8; ++step) {
-      const VectorXf weight = (1 + (left.array() / kCauchy).square()).inverse();
-      const Eigen::Matrix3f normal = design.transpose() * weight.asDiagonal() * design;
-      const Vector3f right = design.transpose() * weight.cwiseProduct(target);
-      x = normal.cast<double>().ldlt().solve(right.cast<double>()).cast<float>();
+      // From the frame's own spread down to the usual one, or a large gain would be taken for
+      // outliers beside the few cells that it leaves alone.
+      std::vector<float> sizes(left.data(), left.data() + left.size());
+      for (float& size : sizes) size = std::abs(size);
+      const float scale = kCauchy * std::max(1.0f, robustSigma(sizes));
+      const VectorXf weight = (1 + (left.array() / scale).square()).inverse();
+      const Eigen::Matrix<float, Unknowns, Unknowns> normal =
+          design.transpose() * weight.asDiagonal() * design;
+      const Solution right = design.transpose() * weight.cwiseProduct(target);
+      x = normal.template cast<double>()
+              .ldlt()
+              .solve(right.template cast<double>())
+              .template cast<float>();
       if (!x.allFinite()) x.setZero();
       left = target - design * x;
     }
@@ -331,8 +356,10 @@ class Checker {
     Eigen::Matrix<float, Eigen::Dynamic, 3> design(pictures_.rows(), 3);
     design << predicted_.col(i).cwiseProduct(inverse), alongU_.col(i).cwiseProduct(inverse),
         alongV_.col(i).cwiseProduct(inverse);
+    const VectorXf target = residual_.col(i).cwiseProduct(inverse);
     VectorXf left;
-    const Vector3f x = solve(design, residual_.col(i).cwiseProduct(inverse), left);
+    fits_[at(i)].gainAlone = solve<1>(design.col(0), target, left)[0];
+    const Vector3f x = solve(design, target, left);
     fits_[at(i)].gain = x[0];
     fits_[at(i)].shift = x.tail<2>().cast<double>();
     fitted_.col(i) = left.cwiseProduct(scale_.col(i));
@@ -421,6 +448,8 @@ class Checker {
     constexpr double kRayleigh = 1 / 1.1774;  // of the length of a vector of two Gaussians
     findUsual([](const Fit& f) { return f.gain; }, true, kGaussian, kLeastGainSpread / 2,
               [](Scores& s, const Usual& usual) { s.gain = usual; });
+    findUsual([](const Fit& f) { return f.gainAlone; }, true, kGaussian, kLeastGainSpread / 2,
+              [](Scores& s, const Usual& usual) { s.gainAlone = usual; });
     findUsual([](const Fit& f) { return f.shift.norm(); }, false, kRayleigh, kLeastShiftSpread,
               [](Scores& s, const Usual& usual) { s.shift = usual; });
     findUsual([](const Fit& f) { return f.dark; }, true, kGaussian, 0.02,
@@ -449,8 +478,24 @@ class Checker {
     return !out.empty();
   }
 
-  // Gauss-Newton to the direction that fits best.
-  void followShift(int i, FrameVerdict& verdict) const {
+  // Put right only where the gain alone, without a shift, leaves nothing unusual.
+  void correctGain(int i, FrameVerdict& verdict) const {
+    const VectorXf inverse = scale_.col(i).cwiseInverse();
+    VectorXf left;
+    Fit fit = fits_[at(i)];
+    solve<1>(predicted_.col(i).cwiseProduct(inverse), residual_.col(i).cwiseProduct(inverse), left);
+    weigh(left, fit);
+    verdict.gain = (1 + fit.gainAlone) * (1 + fit.gainAlone);
+    verdict.residualFitted =
+        left.cwiseProduct(scale_.col(i)).norm() / std::sqrt(static_cast<double>(left.size()));
+    verdict.correctable =
+        std::max(scores_[at(i)].dark.score(fit.dark),
+                 scores_[at(i)].residual.score(fit.residual)) <= options_.threshold;
+  }
+
+  // Gauss-Newton to the direction that fits best. False, with nothing said in `verdict`, if
+  // something unusual is left there or the fit does not come to rest.
+  bool followShift(int i, FrameVerdict& verdict) const {
     const VectorXf inverse = scale_.col(i).cwiseInverse();
     Lamp lamp = lamps_[at(i)];
     Fit fit = fits_[at(i)];
@@ -458,7 +503,7 @@ class Checker {
     VectorXf left;
     for (int step = 0; step < 4; ++step) {
       direction = (direction + fit.shift.x() * lamp.u + fit.shift.y() * lamp.v).normalized();
-      if (angleBetween(direction, this->direction(i)).radians() > kFarthestShift) return;
+      if (angleBetween(direction, this->direction(i)).radians() > kFarthestShift) return false;
       lamp.u = (lamp.u - lamp.u.dot(direction) * direction).normalized();
       lamp.v = direction.cross(lamp.u);
       lamp.predictors = predictorsOf(i, direction, byDistance(direction));
@@ -471,13 +516,14 @@ class Checker {
       fit.shift = x.tail<2>().cast<double>();
     }
     weigh(left, fit);
+    if (scores_[at(i)].worst(fit, options_) > options_.threshold) return false;
     verdict.fitted = direction;
     verdict.shift = angleBetween(direction, this->direction(i));
     verdict.gain = gainOf(fit);
     verdict.residualFitted =
         left.cwiseProduct(scale_.col(i)).norm() / std::sqrt(static_cast<double>(left.size()));
-    // Put right only where nothing else is wrong there and the fit has come to rest.
-    verdict.correctable = scores_[at(i)].worst(fit, options_) <= options_.threshold;
+    verdict.correctable = true;
+    return true;
   }
 
   FrameCheckOptions options_;
@@ -491,6 +537,7 @@ class Checker {
   std::vector<Fit> fits_;
   std::vector<Scores> scores_;
   double spacing_ = 0;
+  float leastScale_ = 0;
   int rounds_ = 0;
   // Cells x frames: what predicts (outliers cut down), what is predicted, its derivatives, what is
   // left before and after the fit, and what is usual of it.
