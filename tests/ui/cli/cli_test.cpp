@@ -81,10 +81,10 @@ TEST_F(CommandLine, TakesASetFromImportToReport) {
             0);
   expectRefusal(
       {"relight", path("one.lsd"), "--light", "0,0,1", "--light=-1,0,1", "--out", path("two.png")},
-      "one.lsd", "single-lamp");
+      "one.lsd: a single-lamp model");
   expectRefusal(
       {"relight", path("one.lsd"), "--environment", path("sky.exr"), "--out", path("two.png")},
-      "one.lsd", "single-lamp");
+      "one.lsd: a single-lamp model");
   const auto measured = run({"validate", path("sketch"), "--model", path("one.lsd"), "--report",
                              path("one-report"), "--quiet"});
   EXPECT_EQ(measured.exitCode, 0) << measured.error;
