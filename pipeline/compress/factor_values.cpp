@@ -1,7 +1,5 @@
 #include "pipeline/compress/factor_values.h"
 
-#include <sys/mman.h>
-
 #include <Eigen/Core>
 #include <algorithm>
 #include <cmath>
@@ -9,6 +7,8 @@
 #include <limits>
 #include <new>
 #include <utility>
+
+#include "pipeline/compress/large_pages.h"
 
 namespace lightsketch {
 namespace {
@@ -35,31 +35,13 @@ std::size_t bytesOf(ElementType type) {
   return 0;
 }
 
-void FactorValues::Unmap::operator()(std::byte* memory) const { ::munmap(memory, bytes); }
+void FactorValues::Unmap::operator()(std::byte* memory) const { unmapPages(memory, bytes); }
 
 FactorValues::FactorValues(ElementType type, std::size_t count) : type_(type), count_(count) {
   if (count > std::numeric_limits<std::size_t>::max() / 16) throw std::bad_alloc();
-  // Aligned to huge pages by asking for one more and giving the surplus back.
-  constexpr std::size_t kHugePage = std::size_t{1} << 21;
   const std::size_t needed = bytes() + kPadding;
-  const std::size_t surplus = needed >= kHugePage ? kHugePage : 0;
-  void* const mapped =
-      ::mmap(nullptr, needed + surplus, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
-  if (mapped == MAP_FAILED) throw std::bad_alloc();
-  auto* start = static_cast<std::byte*>(mapped);
-  if (surplus > 0) {
-    const std::size_t lead =
-        (kHugePage - reinterpret_cast<std::uintptr_t>(start) % kHugePage) % kHugePage;
-    if (lead > 0) ::munmap(start, lead);
-    start += lead;
-    ::madvise(start, needed, MADV_HUGEPAGE);
-    constexpr std::size_t kPage = 4096;
-    const std::size_t used = (needed + kPage - 1) / kPage * kPage;
-    if (surplus - lead > 0 && needed + surplus - lead > used) {
-      ::munmap(start + used, needed + surplus - lead - used);
-    }
-  }
-  memory_ = std::unique_ptr<std::byte[], Unmap>(start, Unmap(needed));
+  memory_ =
+      std::unique_ptr<std::byte[], Unmap>(static_cast<std::byte*>(mapPages(needed)), Unmap(needed));
 }
 
 FactorValues::FactorValues(const FactorValues& other) {

@@ -108,7 +108,9 @@ Factors factorsOf(const RelightableModel& model) {
 
 std::optional<std::string> misfitOf(const RelightableModel& model) {
   const BlockLayout& layout = model.layout;
-  if (layout.width < 1 || layout.height < 1 || layout.blockSize < 1) {
+  // blocks() and pixelsPerBlock() stay far inside an int.
+  if (layout.width < 1 || layout.height < 1 || layout.blockSize < 1 || layout.blockSize > 1024 ||
+      std::int64_t{layout.width} * layout.height > std::int64_t{1} << 31) {
     return fmt::format("a picture of {} x {} pixels in blocks of {}", layout.width, layout.height,
                        layout.blockSize);
   }

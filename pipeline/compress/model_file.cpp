@@ -172,7 +172,7 @@ class Writer {
   }
 
   // Through shuffle and deflate, on all cores.
-  void packed(const char* name, const Shape& shape, const std::vector<std::uint16_t>& values,
+  void packed(const char* name, const Shape& shape, std::span<const std::uint16_t> values,
               int strategy) {
     if (values.empty()) {
       plain(name, shape, H5T_STD_U16LE, nullptr);
@@ -274,7 +274,8 @@ Json toJson(const InterpolationSettings& settings) {
   return {{"kernel", kKernelNames[static_cast<int>(settings.kernel)]},
           {"trendDegree", settings.trendDegree},
           {"nugget", settings.nugget},
-          {"outsideClamp", settings.outsideClamp}};
+          {"outsideClamp", settings.outsideClamp},
+          {"stretch", settings.stretch}};
 }
 
 Result<InterpolationSettings> interpolationFrom(const Json& json, const std::string& where) {
@@ -290,6 +291,9 @@ Result<InterpolationSettings> interpolationFrom(const Json& json, const std::str
   settings.trendDegree = static_cast<int>(degree);
   ASSIGN_OR_RETURN(settings.nugget, jsonNumber(json, "nugget", where));
   ASSIGN_OR_RETURN(settings.outsideClamp, jsonNumber(json, "outsideClamp", where));
+  if (json.contains("stretch")) {  // not in version 1
+    ASSIGN_OR_RETURN(settings.stretch, jsonNumber(json, "stretch", where));
+  }
   return settings;
 }
 
@@ -597,7 +601,8 @@ class Reader {
     }
     Shape shape(static_cast<std::size_t>(dimensions));
     H5Sget_simple_extent_dims(space, shape.data(), nullptr);
-    std::uint64_t bytes = 8;
+    const Handle type(H5Dget_type(set), H5Tclose);
+    std::uint64_t bytes = std::max<std::uint64_t>(H5Tget_size(type), 1);
     for (const hsize_t extent : shape) {
       if (extent > maxBytes_ / bytes) {
         return failure(ErrorCode::kCorrupt,
@@ -691,10 +696,10 @@ class Reader {
 };
 
 // A packed dataset: chunks read one after the other, inflated by all cores.
-Result<std::vector<std::uint16_t>> readPacked(Reader& reader, const char* name, const Shape& shape,
-                                              const std::string& where) {
+Result<PackedCode::Numbers> readPacked(Reader& reader, const char* name, const Shape& shape,
+                                       const std::string& where) {
   using Number = std::uint16_t;
-  std::vector<Number> values(shape[0] * shape[1]);
+  PackedCode::Numbers values(shape[0] * shape[1]);
   if (values.empty()) return values;
   const auto refuse = [&] {
     return failure(ErrorCode::kCorrupt, "{}: dataset {} cannot be read", where, name);
@@ -838,6 +843,11 @@ Result<void> readFactors(Reader& reader, const Head& head, std::array<FactorValu
     return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", where);
   }
   if (!packed) {
+    const ElementType real =
+        model.storage == Storage::kFloat32 ? ElementType::kFloat32 : ElementType::kFloat16;
+    const ElementType basis = model.storage == Storage::kQ8 ? ElementType::kInt8 : real;
+    if (plain[0].type() != basis || plain[1].type() != real || plain[2].type() != real)
+      return failure(ErrorCode::kCorrupt, "{}: its numbers are not {}", where, storage);
     model.E = {std::move(plain[0]), {}};
     model.U = {std::move(plain[1]), {}};
     model.V = {std::move(plain[2]), {}};
@@ -858,6 +868,7 @@ Result<void> readFactors(Reader& reader, const Head& head, std::array<FactorValu
   if (code->stepE.size() != rows || code->stepU.size() != q || code->stepV.size() != q)
     return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", where);
   setPacked(model, std::move(code));
+  model.code.reset();  // drawing needs it no more
   return {};
 }
 
@@ -869,7 +880,12 @@ Result<RelightableModel> readContent(hid_t file, const std::filesystem::path& pa
   RelightableModel model;
   ASSIGN_OR_RETURN(model.layout.width, reader.integer("width", 1, 1 << 20));
   ASSIGN_OR_RETURN(model.layout.height, reader.integer("height", 1, 1 << 20));
-  ASSIGN_OR_RETURN(model.layout.blockSize, reader.integer("blockSize", 1, 1024));
+  ASSIGN_OR_RETURN(model.layout.blockSize, reader.integer("blockSize", 2, 64));
+  constexpr std::int64_t kMostPixels = std::int64_t{1} << 31;
+  if (std::int64_t{model.layout.width} * model.layout.height > kMostPixels) {
+    return failure(ErrorCode::kCorrupt, "{}: a picture of {} x {} pixels", where,
+                   model.layout.width, model.layout.height);
+  }
   ASSIGN_OR_RETURN(model.lights, reader.directions("light_directions"));
   ASSIGN_OR_RETURN(model.solidAngles, reader.list<double>("solid_angles", H5T_NATIVE_DOUBLE));
   ASSIGN_OR_RETURN(model.capturedIds, reader.list<int>("captured_ids", H5T_NATIVE_INT));
@@ -933,7 +949,9 @@ Result<RelightableModel> loadUnguarded(const std::filesystem::path& path) {
   }
   const std::scoped_lock lock(hdf5Mutex());
   H5Eset_auto2(H5E_DEFAULT, nullptr, nullptr);
-  const Handle file(H5Fopen(path.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
+  // By its descriptor: the very file that was verified, even if another has its name by now.
+  const std::string opened = fmt::format("/proc/self/fd/{}", descriptor.get());
+  const Handle file(H5Fopen(opened.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT), H5Fclose);
   if (!file) return failure(ErrorCode::kCorrupt, "{}: libhdf5 cannot open it", path.string());
   return readContent(file, path, head, std::move(factors));
 }

@@ -1,5 +1,6 @@
 #include "pipeline/compress/packed_code.h"
 
+#include <oneapi/tbb/enumerable_thread_specific.h>
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
@@ -75,25 +76,37 @@ void setPacked(RelightableModel& model, std::shared_ptr<const PackedCode> shared
   model.storage = Storage::kPacked;
 
   // Basis pictures as pixels: int8 with a scale each adds an error far below the code's own.
-  RowMajorMatrixf coefficients(static_cast<Index>(rows), static_cast<Index>(p));
-  oneapi::tbb::parallel_for(std::size_t{0}, rows, [&](std::size_t i) {
-    for (std::size_t k = 0; k < p; ++k) {
-      coefficients(static_cast<Index>(i), static_cast<Index>(k)) =
-          static_cast<float>(unfoldSign(code.E[k * rows + i])) * code.stepE[i];
-    }
-  });
-  RowMajorMatrixf pixels(static_cast<Index>(rows), static_cast<Index>(p));
-  multiply(MatrixView(coefficients), MatrixView(dctMatrix(code.layout.blockSize)), pixels.data(), p,
-           Cores::kAll);
   model.E = {FactorValues(ElementType::kInt8, rows * p), std::vector<float>(rows)};
   const auto e = model.E.values.as<std::int8_t>();
-  oneapi::tbb::parallel_for(std::size_t{0}, rows, [&](std::size_t i) {
-    const auto row = pixels.row(static_cast<Index>(i));
-    const float scale = stepFor(row.cwiseAbs().maxCoeff(), 127);
-    model.E.scale[order[i]] = scale;
+  const PackedMatrix dct(MatrixView(dctMatrix(code.layout.blockSize)), Cores::kAll);
+  constexpr std::size_t kStrip = 512;  // rows
+  struct Strip {
+    RowMajorMatrixf coefficients;
+    RowMajorMatrixf pixels;
+  };
+  oneapi::tbb::enumerable_thread_specific<Strip> strips;
+  oneapi::tbb::parallel_for(std::size_t{0}, (rows + kStrip - 1) / kStrip, [&](std::size_t s) {
+    Strip& strip = strips.local();
+    const std::size_t first = s * kStrip;
+    const std::size_t count = std::min(kStrip, rows - first);
+    strip.coefficients.resize(static_cast<Index>(count), static_cast<Index>(p));
+    strip.pixels.resize(static_cast<Index>(count), static_cast<Index>(p));
     for (std::size_t k = 0; k < p; ++k) {
-      e[order[i] * p + k] =
-          static_cast<std::int8_t>(std::lround(row[static_cast<Index>(k)] / scale));
+      const std::uint16_t* const from = code.E.data() + k * rows + first;
+      for (std::size_t i = 0; i < count; ++i) {
+        strip.coefficients(static_cast<Index>(i), static_cast<Index>(k)) =
+            static_cast<float>(unfoldSign(from[i])) * code.stepE[first + i];
+      }
+    }
+    multiply(MatrixView(strip.coefficients), dct, strip.pixels.data(), p, Cores::kOne);
+    for (std::size_t i = 0; i < count; ++i) {
+      const auto row = strip.pixels.row(static_cast<Index>(i));
+      const std::size_t r = order[first + i];
+      const float scale = stepFor(row.cwiseAbs().maxCoeff(), 127);
+      model.E.scale[r] = scale;
+      for (std::size_t k = 0; k < p; ++k) {
+        e[r * p + k] = static_cast<std::int8_t>(std::lround(row[static_cast<Index>(k)] / scale));
+      }
     }
   });
 

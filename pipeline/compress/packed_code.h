@@ -6,6 +6,7 @@
 #include <memory>
 #include <vector>
 
+#include "pipeline/compress/large_pages.h"
 #include "pipeline/compress/model.h"
 
 namespace lightsketch {
@@ -14,19 +15,21 @@ namespace lightsketch {
 // statistics. Signs are folded, 0, -1, 1, -2, 2 to 0, 1, 2, 3, 4, so that small numbers of either
 // sign have an empty upper byte. Rows stand as packedRowOrder says.
 struct PackedCode {
+  using Numbers = std::vector<std::uint16_t, LargePages<std::uint16_t>>;
+
   BlockLayout layout;
   std::vector<std::int64_t> blockOffset;  // as Factors
   int rank = 0;
   int lights = 0;
 
   // p x rows: each row's basis picture as its orthonormal two-dimensional DCT-II, coefficients as
-  // dctOrder says.
-  std::vector<std::uint16_t> E;
-  std::vector<float> stepE;      // rows
-  std::vector<std::uint16_t> U;  // q x rows
-  std::vector<float> stepU;      // q
+  // dctMatrix says.
+  Numbers E;
+  std::vector<float> stepE;  // rows
+  Numbers U;                 // q x rows
+  std::vector<float> stepU;  // q
   // 3 q x n: of each k the lights' grey, red-blue and green-magenta (see opponentColours).
-  std::vector<std::uint16_t> V;
+  Numbers V;
   std::vector<float> stepV;  // q
 
   std::size_t rows() const { return stepE.size(); }

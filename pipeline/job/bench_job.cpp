@@ -125,7 +125,7 @@ std::shared_ptr<RelightableModel> randomModel(const PictureSize& size, int light
     code->blockOffset = blockOffset;
     code->rank = kRank;
     code->lights = lights;
-    const auto fill = [](std::vector<std::uint16_t>& numbers, std::size_t lines, std::size_t length,
+    const auto fill = [](PackedCode::Numbers& numbers, std::size_t lines, std::size_t length,
                          float half) {
       numbers.resize(lines * length);
       randomNumbers(numbers.size(), [&](std::size_t i, float number) {

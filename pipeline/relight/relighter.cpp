@@ -268,11 +268,16 @@ Result<LightIntensities> singleLamp(const DirectionalLamp& lamp,
 Result<RadianceImage> relight(const RelightableModel& model, const LightIntensities& intensities) {
   RETURN_IF_ERROR(checkModel(model));
   RETURN_IF_ERROR(checkLights(model, intensities));
-  std::vector<double> v = unlit(model);
-  addManyLights(model, lightsOn(intensities), v);
-  RadianceImage picture(model.layout.width, model.layout.height, 3);
-  drawFloats(model, v, {}, picture);
-  return picture;
+  try {
+    std::vector<double> v = unlit(model);
+    addManyLights(model, lightsOn(intensities), v);
+    RadianceImage picture(model.layout.width, model.layout.height, 3);
+    drawFloats(model, v, {}, picture);
+    return picture;
+  } catch (const std::bad_alloc&) {
+    return failure(ErrorCode::kUnsupported, "relight: not enough memory for a picture of {} x {}",
+                   model.layout.width, model.layout.height);
+  }
 }
 
 }  // namespace lightsketch

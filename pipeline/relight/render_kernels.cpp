@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <cstdint>
 #include <cstring>
+#include <new>
 #include <stdexcept>
 
 // Scalable vectors cannot lie in arrays, as the accumulators do; NEON serves those machines.
@@ -26,7 +27,7 @@ constexpr std::size_t kLanes = hn::MaxLanes(F());
 constexpr std::size_t kPanelRows = RelightableModel::kPanelRows;
 
 // Vectors summed at once, in three colours each: what the registers hold.
-#if HWY_TARGET == HWY_AVX3 || HWY_TARGET == HWY_NEON
+#if HWY_TARGET <= HWY_AVX3 || HWY_ARCH_ARM
 constexpr std::size_t kTile = 8;
 #else
 constexpr std::size_t kTile = 4;
@@ -66,6 +67,13 @@ HWY_INLINE void withNumbers(const FactorValues& values, const Function& f) {
   }
 }
 
+template <class T>
+hwy::AlignedFreeUniquePtr<T[]> allocated(std::size_t count) {
+  auto memory = hwy::AllocateAligned<T>(count);
+  if (!memory) throw std::bad_alloc();
+  return memory;
+}
+
 // Three vectors of sums, one per colour, for each of kVectors vectors of rows or pixels.
 template <std::size_t kVectors>
 struct Sums {
@@ -74,24 +82,34 @@ struct Sums {
 
 // Both products of relighting are this one: sums(i, c) = sum over k < count of A(i, k) x_c(k), for
 // kVectors vectors of i. Column k of A lies at from + k stride; every kPerPanel vectors another
-// panel starts, panelStride further on. Fetches what lies `ahead` elements further on.
+// panel starts, panelStride further on. Fetches ahead of itself.
+//
+// What is fetched while column k is worked on lies `ahead` elements further on, from column `turn`
+// on another `skip`.
+struct Fetch {
+  std::size_t ahead = 0;
+  std::size_t turn = 0;
+  std::size_t skip = 0;
+};
 template <std::size_t kVectors, std::size_t kPerPanel, class T>
 HWY_INLINE void multiply(const T* HWY_RESTRICT from, std::size_t panelStride, std::size_t stride,
-                         std::size_t count, const std::array<const float*, 3>& x, std::size_t ahead,
-                         Sums<kVectors>& sums) {
+                         std::size_t count, const std::array<const float*, 3>& x,
+                         const Fetch& fetch, Sums<kVectors>& sums) {
   const F d;
   constexpr std::size_t kPerLine = 64 / sizeof(T);
 #pragma GCC unroll 8
   for (std::size_t t = 0; t < kVectors; ++t) {
     for (std::size_t c = 0; c < 3; ++c) sums.at[t][c] = hn::Zero(d);
   }
-  for (std::size_t k = 0; k < count; ++k, from += stride) {
+  const T* HWY_RESTRICT fetched = from + fetch.ahead;
+  for (std::size_t k = 0; k < count; ++k, from += stride, fetched += stride) {
+    if (k == fetch.turn) fetched += fetch.skip;
     const VF x0 = hn::Set(d, x[0][k]);
     const VF x1 = hn::Set(d, x[1][k]);
     const VF x2 = hn::Set(d, x[2][k]);
     for (std::size_t panel = 0; panel < kVectors / kPerPanel; ++panel) {
       for (std::size_t i = 0; i < kPerPanel * kLanes; i += kPerLine) {
-        hwy::Prefetch(from + panel * panelStride + ahead + i);
+        hwy::Prefetch(fetched + panel * panelStride + i);
       }
     }
 #pragma GCC unroll 8
@@ -169,7 +187,7 @@ class RowSums {
         endPanel_((end + kPanelRows - 1) / kPanelRows),
         firstRow_(panel_ * kPanelRows),
         stride_((endPanel_ - panel_) * kPanelRows),
-        sums_(hwy::AllocateAligned<float>(3 * stride_ + 1)) {}
+        sums_(allocated<float>(3 * stride_ + 1)) {}
 
   // Makes sure that the rows before `end` are there; returns them from `begin` on.
   HWY_INLINE std::array<const float*, 3> rows(std::size_t begin, std::size_t end) {
@@ -208,9 +226,14 @@ class RowSums {
   HWY_INLINE void sum(const T* from, std::size_t panelStride, std::size_t offset) {
     const F d;
     Sums<kSummed> sums;
-    // 48 columns ahead: a whole panel would drive out of the first cache what is needed next.
-    multiply<kSummed, kPerPanel>(from, panelStride, kPanelRows, basis_.rank, basis_.v,
-                                 48 * kPanelRows, sums);
+    // 48 columns ahead: a whole panel would drive out of the first cache what is needed next. The
+    // last ones fetch the first ones of the panels that come next.
+    constexpr std::size_t kAhead = 48;
+    constexpr std::size_t kPanelsSummed = std::max<std::size_t>(1, kSummed / kPerPanel);
+    const std::size_t turn = basis_.rank - std::min(basis_.rank, kAhead);
+    const Fetch fetch{kAhead * kPanelRows, turn,
+                      kPanelsSummed * panelStride - basis_.rank * kPanelRows};
+    multiply<kSummed, kPerPanel>(from, panelStride, kPanelRows, basis_.rank, basis_.v, fetch, sums);
     const std::size_t row = panel_ * kPanelRows + offset;
     float* const to = sums_.get() + (row - firstRow_);
 #pragma GCC unroll 8
@@ -258,7 +281,7 @@ HWY_INLINE void drawTile(const T* e, std::size_t pixels, std::size_t rows, std::
                          const std::array<const float*, 3>& l, Cursor& cursor, std::size_t pixel,
                          bool streamed, bool roots) {
   Sums<kVectors> sums;
-  multiply<kVectors, kVectors>(e + pixel, 0, pixels, rows, l, ahead, sums);
+  multiply<kVectors, kVectors>(e + pixel, 0, pixels, rows, l, {ahead, rows, 0}, sums);
   if (roots) {
     for (auto& pixelSums : sums.at) {
       for (VF& sum : pixelSums) {
@@ -286,7 +309,7 @@ HWY_NOINLINE void drawBlocks(const RelightableModel& model, const LitBasis& basi
   };
   RowSums rowSums(model, basis, offset(first), offset(last));
   const std::size_t padded = (pixels + kLanes - 1) / kLanes * kLanes;
-  const auto scratch = hwy::AllocateAligned<std::byte>(padded * kBytes + 64);
+  const auto scratch = allocated<std::byte>(padded * kBytes + 64);
   const bool wholeVectors = size % kLanes == 0;
   const bool streamed = kFormat == PixelFormat::kBgra8 &&
                         reinterpret_cast<std::uintptr_t>(target.pixels) % 64 == 0 &&
@@ -309,7 +332,7 @@ HWY_NOINLINE void drawBlocks(const RelightableModel& model, const LitBasis& basi
     Cursor cursor{direct ? picture : scratch.get(), linePixels, linePixels,
                   direct ? target.strideBytes - size * kBytes : 0};
     const T* const block = e + row * pixels;
-    const std::size_t ahead = rows * pixels;
+    const std::size_t ahead = 2 * rows * pixels;
     std::size_t pixel = 0;
     for (; pixel + kTile * kLanes <= padded; pixel += kTile * kLanes) {
       drawTile<kTile, kFormat>(block, pixels, kept, ahead, l, cursor, pixel, direct && streamed,

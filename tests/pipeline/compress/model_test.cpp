@@ -41,7 +41,7 @@ RelightableModel someModel(Storage storage) {
     code->rank = 7;
     code->lights = 20;
     const auto integers = [&](std::size_t count) {
-      std::vector<std::uint16_t> values(count);
+      PackedCode::Numbers values(count);
       for (auto& value : values) value = foldSign(static_cast<int>(20 * normal(random)));
       return values;
     };
