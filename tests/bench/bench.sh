@@ -21,8 +21,7 @@ usage() {
 ./run bench chain       the simulated rig from nothing: lenses, poses, recording; directions against its truth
 
 ./run bench engine      compressing, drawing, loading against this machine's limits, and growth (lightsketch bench)
-./run bench compress    the paper's job on a set with shadows and highlights; [growth|quick]
-./run bench render      drawing at three sizes, in all storages, with a share of the bases
+./run bench compress    the paper's job on a set with shadows and highlights; [quick]
 ./run bench quality     quality per byte: the paper, PCA, PTM, HSH, SH and our own sizes; [--quick] [--plot FILE.svg]
 ./run bench bad_frames  faults put into good sets: how many are found, and how many others
 TEXT
@@ -134,7 +133,7 @@ case "${1:-}" in
     trap '[ -z "$rig" ] || kill $rig 2>/dev/null; rm -rf "$work"' EXIT
     case $1 in kill) kill_recording ;; *) "$1" ;; esac
     ;;
-  lens | boards | radiometry | response | chain | compress | render | quality | bad_frames) bench_program "$@" ;;
+  lens | boards | radiometry | response | chain | compress | quality | bad_frames) bench_program "$@" ;;
   ball) bench_program mirror_ball ;;
   engine) shift && exec "$program" bench "$@" ;;
   '') usage ;;

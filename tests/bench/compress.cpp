@@ -1,6 +1,6 @@
 // The paper's job: 4096 lights, 640 x 480 in colour, b = 10, q = 200, against what this machine's
-// arithmetic and memory allow, measured in the same run. `growth`: time and memory against the
-// number of lights and of pixels.
+// arithmetic and memory allow, measured in the same run, on a scene with cast shadows and
+// highlights.
 #include <fmt/core.h>
 #include <stdlib.h>
 #include <time.h>
@@ -178,35 +178,15 @@ void paperJob(bool exact) {
                    figures.second.totalEnergy));
 }
 
-void growth() {
-  const double flops = fmaPeak();
-  const double bandwidth = readBandwidth();
-  fmt::print("lights\twidth\theight\tscratch s\tstage 1 s\tstage 2 s\tlimit s\tpeak GB\n");
-  const auto row = [&](int side, int width, int height) {
-    const Figures figures = measure(width, height, side, 10, 200, 2, false);
-    const Work work = workOf(width, height, side * side, 10, figures.second);
-    fmt::print("{}\t{}\t{}\t{:.2f}\t{:.3f}\t{:.3f}\t{:.3f}\t{:.2f}\n", side * side, width, height,
-               figures.scratch, figures.stage1, figures.stage2, work.limit(flops, bandwidth),
-               figures.peak);
-    std::fflush(stdout);
-  };
-  for (const int side : {16, 23, 32, 45, 64}) row(side, 640, 480);
-  for (const auto& [width, height] :
-       {std::pair{160, 120}, {320, 240}, {640, 480}, {1280, 960}, {1920, 1080}})
-    row(22, width, height);
-}
-
 }  // namespace
 }  // namespace lightsketch
 
 int main(int argc, char** argv) {
   const std::string what = argc > 1 ? argv[1] : "";
-  if (what == "growth") {
-    lightsketch::growth();
-  } else if (what.empty() || what == "quick") {
+  if (what.empty() || what == "quick") {
     lightsketch::paperJob(what.empty());
   } else {
-    fmt::print(stderr, "bench_compress [growth|quick]   quick: without the exact second stage\n");
+    fmt::print(stderr, "bench_compress [quick]   quick: without the exact second stage\n");
     return 2;
   }
   return 0;
