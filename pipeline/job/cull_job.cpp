@@ -1,6 +1,7 @@
 // Bad frames out of a sketch, and back in.
 #include <algorithm>
 #include <array>
+#include <optional>
 
 #include "capture/frame/file.h"
 #include "pipeline/job/jobs.h"
@@ -62,74 +63,155 @@ LightDirection correctedLight(const FrameRecord& frame, const FrameVerdict& verd
   return light;
 }
 
-Result<void> applyVerdict(Sketch& sketch, const FrameVerdict& verdict) {
-  const FrameRecord frame = sketch.frames()[static_cast<std::size_t>(verdict.id)];
-  if (!verdict.correctable) return sketch.drop(verdict.id, "cull: " + verdict.reason());
-  if (verdict.fault == FrameFault::kDirection) {
-    return sketch.relight(verdict.id, correctedLight(frame, verdict), "cull");
+// The frame as cull leaves it.
+FrameRecord culled(FrameRecord frame, const FrameVerdict& verdict) {
+  if (!verdict.correctable) {
+    frame.dropped = true;
+    frame.dropReason = "cull: " + verdict.reason();
+  } else if (verdict.fault == FrameFault::kDirection) {
+    frame.light = correctedLight(frame, verdict);
+    frame.calibrationId = "cull";
+  } else {
+    for (double& channel : frame.lampScale) channel *= verdict.gain;
   }
-  auto scale = frame.lampScale;
-  for (double& channel : scale) channel *= verdict.gain;
-  return sketch.relight(verdict.id, frame.light, frame.calibrationId, scale);
+  return frame;
+}
+
+// Which sketch a cull.json is about, wherever its folder now lies: the pictures of its first
+// `frames` frames. Later ones may have been recorded since.
+std::string identityOf(const Sketch& sketch, std::size_t frames) {
+  std::string sums;
+  for (std::size_t i = 0; i < frames; ++i) sums += sketch.frames()[i].checksum + '\n';
+  return checksum(sums);
+}
+
+fs::path absolutePath(const fs::path& path) {
+  std::error_code error;
+  const fs::path absolute = fs::absolute(path, error);
+  return (error ? path : absolute).lexically_normal();
+}
+
+// The folder's own name, also of "vase/" and ".".
+std::string nameOfFolder(const fs::path& path) {
+  const fs::path absolute = absolutePath(path);
+  return (absolute.has_filename() ? absolute : absolute.parent_path()).filename().string();
+}
+
+// Fails if the folder holds the only record of changes that were not taken back.
+Result<void> checkReportFolder(const CullJob& job) {
+  const fs::path file = job.report / "cull.json";
+  std::error_code error;
+  const bool there = fs::exists(file, error);
+  if (error) {
+    return failure(ErrorCode::kIo, "{}: cannot be looked at: {}", file.string(), error.message());
+  }
+  if (!there) return {};
+  ASSIGN_OR_RETURN(const Json figures, readJsonFile(file));
+  if (figures.is_object() && figures.value("applied", Json()) == Json(true) &&
+      !figures.value("bad", Json()).empty()) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "{}: undoes what an earlier `cull --apply` did and would be overwritten; undo "
+                   "that first (lightsketch cull SKETCH --undo {}) or name another --report folder",
+                   file.string(), file.string());
+  }
+  return {};
 }
 
 std::string counted(int count, std::string_view what) {
   return fmt::format("{} {}{}", count, what, count == 1 ? "" : "s");
 }
 
-Result<JobResult> undo(const CullJob& job) {
-  ASSIGN_OR_RETURN(const Json figures, readJsonFile(job.undo));
-  ASSIGN_OR_RETURN(auto sketch, Sketch::openForAppend(job.sketch));
-  struct Step {
-    int id;
-    bool restored;
-    LightDirection light;
-    std::string calibrationId;
-    std::array<double, 3> lampScale;
-  };
-  std::vector<Step> steps;
-  const auto parse = [&](const Json& entry) -> Result<void> {
-    Step step{entry.at("id").get<int>(), entry.at("action") == "drop", {}, {}, {}};
-    if (step.id < 0 || step.id >= static_cast<int>(sketch.frames().size())) {
-      return failure(ErrorCode::kCorrupt, "there is no frame {}", step.id);
-    }
-    const Json& before = entry.at("before");
-    RETURN_IF_ERROR(readInto(before.at("direction"), step.light.direction));
-    RETURN_IF_ERROR(readInto(before.at("covariance"), step.light.covariance));
-    if (before.contains("position")) {
-      step.light.position.emplace();
-      RETURN_IF_ERROR(readInto(before.at("position"), *step.light.position));
-      RETURN_IF_ERROR(readInto(before.at("positionCovariance"), step.light.positionCovariance));
-    }
-    step.calibrationId = before.at("calibrationId").get<std::string>();
-    step.lampScale = before.at("lampScale").get<std::array<double, 3>>();
-    steps.push_back(std::move(step));
-    return {};
-  };
-  try {
-    if (figures.at("sketch") != fs::absolute(job.sketch).lexically_normal().string() ||
-        !figures.at("applied").get<bool>()) {
+// One frame's way back.
+struct UndoStep {
+  int id = 0;
+  bool restores = false;  // else it puts the light back
+  LightDirection light;
+  std::string calibrationId;
+  std::array<double, 3> lampScale{1, 1, 1};
+};
+
+// Nothing if the frame already is as before. Fails if somebody else changed it since.
+Result<std::optional<UndoStep>> undoStep(const Json& entry, const Sketch& sketch) {
+  UndoStep step;
+  step.id = entry.at("id").get<int>();
+  step.restores = entry.at("action") == "drop";
+  if (step.id < 0 || step.id >= static_cast<int>(sketch.frames().size())) {
+    return failure(ErrorCode::kCorrupt, "there is no frame {}", step.id);
+  }
+  const FrameRecord& frame = sketch.frames()[static_cast<std::size_t>(step.id)];
+  const Json& before = entry.at("before");
+  const Json& after = entry.at("after");
+  if (step.restores) {
+    if (!frame.dropped) return std::nullopt;
+    if (frame.dropReason != after.at("dropReason")) {
       return failure(ErrorCode::kInvalidArgument,
-                     "{}: this is not what `cull --apply` wrote about {}", job.undo.string(),
-                     job.sketch.string());
+                     "frame {} was dropped again since (\"{}\"); nothing was undone", step.id,
+                     frame.dropReason);
     }
+    return step;
+  }
+  const Json now = lightOf(frame);
+  if (now == before) return std::nullopt;
+  if (now != after) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "the light of frame {} is no longer the one that cull wrote; nothing was undone",
+                   step.id);
+  }
+  RETURN_IF_ERROR(readInto(before.at("direction"), step.light.direction));
+  RETURN_IF_ERROR(readInto(before.at("covariance"), step.light.covariance));
+  if (before.contains("position")) {
+    step.light.position.emplace();
+    RETURN_IF_ERROR(readInto(before.at("position"), *step.light.position));
+    RETURN_IF_ERROR(readInto(before.at("positionCovariance"), step.light.positionCovariance));
+  }
+  step.calibrationId = before.at("calibrationId").get<std::string>();
+  step.lampScale = before.at("lampScale").get<std::array<double, 3>>();
+  return step;
+}
+
+Result<JobResult> undo(const CullJob& job) {
+  ASSIGN_OR_RETURN(Json figures, readJsonFile(job.undo));
+  ASSIGN_OR_RETURN(auto sketch, Sketch::openForAppend(job.sketch));
+  std::vector<UndoStep> steps;
+  std::size_t listed = 0;
+  try {
+    if (!figures.at("applied").get<bool>()) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "{}: there is nothing to undo: not written by `cull --apply`, or undone "
+                     "already",
+                     job.undo.string());
+    }
+    const Json& of = figures.at("sketch");
+    const auto frames = of.at("frames").get<std::size_t>();
+    if (frames > sketch.frames().size() || of.at("checksum") != identityOf(sketch, frames)) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "{}: this is not what `cull --apply` wrote about {}: the pictures are others",
+                     job.undo.string(), job.sketch.string());
+    }
+    listed = figures.at("bad").size();
     for (const Json& entry : figures.at("bad")) {
-      if (const auto parsed = parse(entry); !parsed) {
-        return failure(ErrorCode::kCorrupt, "{}: {}", job.undo.string(), parsed.error().message);
+      auto step = undoStep(entry, sketch);
+      if (!step) {
+        return failure(step.error().code, "{}: {}", job.undo.string(), step.error().message);
       }
+      if (*step) steps.push_back(std::move(**step));
     }
   } catch (const Json::exception& error) {
     return failure(ErrorCode::kCorrupt, "{}: not a cull.json: {}", job.undo.string(), error.what());
   }
-  for (const Step& step : steps) {
-    if (step.restored) {
+  for (const UndoStep& step : steps) {
+    if (step.restores) {
       RETURN_IF_ERROR(sketch.restore(step.id));
     } else {
       RETURN_IF_ERROR(sketch.relight(step.id, step.light, step.calibrationId, step.lampScale));
     }
   }
+  // Last, so that an undo that was interrupted can be repeated.
+  figures["applied"] = false;
+  figures["undone"] = true;
+  RETURN_IF_ERROR(writeJsonFile(job.undo, figures));
   return JobResult{fmt::format("{}: {} as before", job.sketch.string(),
-                               counted(static_cast<int>(steps.size()), "frame")),
+                               counted(static_cast<int>(listed), "frame")),
                    {{"undone", steps.size()}}};
 }
 
@@ -152,6 +234,7 @@ Result<JobResult> cullJob(const CullJob& job, Progress& progress) {
     return failure(ErrorCode::kInvalidArgument,
                    "cull: --apply needs --report FOLDER, which keeps what is needed to undo it");
   }
+  if (!job.report.empty()) RETURN_IF_ERROR(checkReportFolder(job));
   ASSIGN_OR_RETURN(auto sketch,
                    job.apply ? Sketch::openForAppend(job.sketch) : Sketch::open(job.sketch));
   ASSIGN_OR_RETURN(const auto stack, LightStack::create(sketch, sketch.activeFrames()));
@@ -169,9 +252,14 @@ Result<JobResult> cullJob(const CullJob& job, Progress& progress) {
     ++(!correct ? dropped : verdict.fault == FrameFault::kDirection ? directions : brightness);
     Json& entry = result.figures["bad"][k];
     entry["action"] = correct ? "correct" : "drop";
-    entry["before"] = lightOf(sketch.frames()[static_cast<std::size_t>(verdict.id)]);
+    const FrameRecord& frame = sketch.frames()[static_cast<std::size_t>(verdict.id)];
+    entry["before"] = lightOf(frame);
+    const FrameRecord after = culled(frame, verdict);
+    entry["after"] = correct ? lightOf(after) : Json{{"dropReason", after.dropReason}};
   }
-  result.figures["sketch"] = fs::absolute(job.sketch).lexically_normal().string();
+  result.figures["sketch"] = {{"folder", absolutePath(job.sketch).string()},
+                              {"frames", sketch.frames().size()},
+                              {"checksum", identityOf(sketch, sketch.frames().size())}};
   result.figures["applied"] = job.apply;
   result.figures["dropped"] = dropped;
   result.figures["correctedBrightness"] = brightness;
@@ -196,7 +284,7 @@ Result<JobResult> cullJob(const CullJob& job, Progress& progress) {
                      error.message());
     }
     FrameCheckReportOptions options;
-    options.title = fs::absolute(job.sketch).lexically_normal().filename().string();
+    options.title = nameOfFolder(job.sketch);
     options.action = action;
     ASSIGN_OR_RETURN(const std::string page, frameCheckPage(stack, check, options, progress));
     // Before the first change: without it there is no way back.
@@ -205,7 +293,15 @@ Result<JobResult> cullJob(const CullJob& job, Progress& progress) {
   }
   if (job.apply) {
     for (const int i : bad) {
-      RETURN_IF_ERROR(applyVerdict(sketch, check.frames[static_cast<std::size_t>(i)]));
+      const FrameVerdict& verdict = check.frames[static_cast<std::size_t>(i)];
+      const FrameRecord after =
+          culled(sketch.frames()[static_cast<std::size_t>(verdict.id)], verdict);
+      if (after.dropped) {
+        RETURN_IF_ERROR(sketch.drop(verdict.id, after.dropReason));
+      } else {
+        RETURN_IF_ERROR(
+            sketch.relight(verdict.id, after.light, after.calibrationId, after.lampScale));
+      }
     }
   }
   result.text = fmt::format(

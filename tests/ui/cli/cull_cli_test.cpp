@@ -91,6 +91,57 @@ TEST_F(CullCommand, RefusesWhatCouldNotBeUndone) {
   expectRefusal({"cull", path("sketch"), "--undo", path("torn.json")}, "torn.json");
 }
 
+TEST_F(CullCommand, KeepsTheOnlyWayBack) {
+  ASSERT_EQ(run({"cull", path("sketch"), "--report", path("cull"), "--apply"}).exitCode, 0);
+  const std::string record = slurp(path("cull") / "cull.json");
+  const std::string journal = slurp(path("sketch") / "frames.jsonl");
+  expectRefusal({"cull", path("sketch"), "--report", path("cull"), "--quiet"}, "--undo");
+  expectRefusal({"cull", path("sketch"), "--report", path("cull"), "--apply", "--quiet"}, "--undo");
+  EXPECT_EQ(slurp(path("cull") / "cull.json"), record);
+  EXPECT_EQ(slurp(path("sketch") / "frames.jsonl"), journal);
+  // Undone once, the folder is free, and there is nothing left to undo.
+  const fs::path file = path("cull") / "cull.json";
+  ASSERT_EQ(run({"cull", path("sketch"), "--undo", file}).exitCode, 0);
+  expectRefusal({"cull", path("sketch"), "--undo", file}, "nothing to undo");
+  const auto again = run({"cull", path("sketch"), "--report", path("cull"), "--quiet"});
+  EXPECT_EQ(again.exitCode, 0) << again.error;
+}
+
+TEST_F(CullCommand, UndoesWhereverTheSketchNowLies) {
+  const LightDirection light = frame(kJump).light;
+  ASSERT_EQ(run({"cull", path("sketch"), "--report", path("cull"), "--apply"}).exitCode, 0);
+  fs::rename(path("sketch"), path("moved"));
+  const auto undone = run({"cull", path("moved"), "--undo", path("cull") / "cull.json"});
+  ASSERT_EQ(undone.exitCode, 0) << undone.error;
+  fs::rename(path("moved"), path("sketch"));
+  EXPECT_FALSE(frame(kShadow).dropped);
+  EXPECT_DOUBLE_EQ(frame(kJump).lampScale[1], 1);
+  EXPECT_EQ(frame(kJump).light.direction, light.direction);
+}
+
+TEST_F(CullCommand, UndoesOnlyItsOwnSketchAndItsOwnChanges) {
+  const fs::path file = path("cull") / "cull.json";
+  ASSERT_EQ(run({"cull", path("sketch"), "--report", path("cull"), "--apply"}).exitCode, 0);
+  {
+    SketchManifest manifest;
+    manifest.width = 40;
+    manifest.height = 30;
+    ASSERT_TRUE(Sketch::create(path("other"), manifest));
+  }
+  expectRefusal({"cull", path("other"), "--undo", file}, "not what `cull --apply` wrote about");
+  // Somebody else corrected the light since.
+  {
+    auto sketch = Sketch::openForAppend(path("sketch"));
+    ASSERT_TRUE(sketch) << sketch.error().message;
+    LightDirection light;
+    light.direction = Eigen::Vector3d::UnitZ();
+    ASSERT_TRUE(sketch->relight(kJump, light, "by hand"));
+  }
+  const std::string journal = slurp(path("sketch") / "frames.jsonl");
+  expectRefusal({"cull", path("sketch"), "--undo", file}, "frame 20 ");
+  EXPECT_EQ(slurp(path("sketch") / "frames.jsonl"), journal);
+}
+
 TEST_F(CullCommand, DropsAndRestoresByHand) {
   const auto dropped = run({"drop", path("sketch"), "3", "7", "--reason", "my sleeve"});
   ASSERT_EQ(dropped.exitCode, 0) << dropped.error;
