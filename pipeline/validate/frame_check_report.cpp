@@ -156,7 +156,7 @@ Image<std::uint8_t> ratioPicture(const RadianceImage& captured, const RadianceIm
 struct Shown {
   int frame;
   RadianceImage captured;
-  RadianceImage predicted;  // square roots until all frames were added
+  RadianceImage predicted;  // square roots until all frames were added; black without predictors
   std::mutex mutex;         // guards both
 };
 
@@ -172,6 +172,7 @@ Result<void> draw(const LightStack& stack, const FrameCheck& check, int shrink,
                   std::vector<std::unique_ptr<Shown>>& shown, Progress& progress) {
   std::vector<std::vector<std::pair<Shown*, float>>> uses(check.frames.size());
   for (auto& s : shown) {
+    s->predicted = RadianceImage(stack.width() / shrink, stack.height() / shrink, 3);
     uses[static_cast<std::size_t>(s->frame)].emplace_back(s.get(), 0.0f);
     for (const auto& [from, weight] : check.frames[static_cast<std::size_t>(s->frame)].prediction) {
       uses[static_cast<std::size_t>(from)].emplace_back(s.get(), static_cast<float>(weight));
@@ -193,9 +194,6 @@ Result<void> draw(const LightStack& stack, const FrameCheck& check, int shrink,
       if (target->frame == static_cast<int>(i)) {
         target->captured = small;
         continue;
-      }
-      if (target->predicted.empty()) {
-        target->predicted = RadianceImage(small.width(), small.height(), 3);
       }
       for (std::size_t k = 0; k < small.size(); ++k) {
         target->predicted.data()[k] += weight * std::sqrt(std::max(0.0f, small.data()[k]));

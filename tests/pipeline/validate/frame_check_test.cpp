@@ -139,7 +139,8 @@ TEST(FrameCheck, FindsAShadowAndWhereItLies) {
   const FrameVerdict& frame = check.frames[40];
   EXPECT_EQ(frame.fault, FrameFault::kShadow);
   EXPECT_FALSE(frame.correctable);
-  // Cells are 0.03 of the picture wide and half-covered ones count, and on the ball's dark side there is nothing to darken.
+  // Cells are 0.03 of the picture wide and half-covered ones count, and on the ball's dark side
+  // there is nothing to darken.
   EXPECT_NEAR(frame.darkPart, 0.31, 0.06);
   EXPECT_NEAR(frame.darkBox[0], 0.25, 0.04);
   EXPECT_NEAR(frame.darkBox[2], 0.31, 0.07);
@@ -206,6 +207,18 @@ TEST(FrameCheck, ReportShowsEveryFrameAtFault) {
   }
   EXPECT_NE(page->find("a &lt;ball&gt;"), std::string::npos);
   EXPECT_EQ(page->find("src=\"http"), std::string::npos);
+}
+
+TEST(FrameCheck, ReportShowsAFrameThatNothingPredicts) {
+  TestSet set;
+  set.scale(90, 1.5);
+  FrameCheck check = set.check();
+  ASSERT_EQ(check.bad(), std::vector<int>{90});
+  check.frames[90].prediction.clear();
+  SilentProgress quiet;
+  const auto page = frameCheckPage(set.stack(), check, {}, quiet);
+  ASSERT_TRUE(page) << page.error().message;
+  EXPECT_NE(page->find("<figure id=\"frame-90\">"), std::string::npos);
 }
 
 TEST(FrameCheck, RefusesSetsTooSmallToJudge) {
