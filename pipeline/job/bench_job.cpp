@@ -11,8 +11,10 @@
 #include <fstream>
 #include <limits>
 #include <memory>
+#include <new>
 #include <numbers>
 #include <random>
+#include <stdexcept>
 #include <string_view>
 
 #include "capture/frame/srgb.h"
@@ -87,6 +89,7 @@ struct Bench {
   }
   // Full runs take this long for each figure that is the best of several.
   double budget() const { return job.quick ? 0 : 1.5; }
+  LimitEffort effort() const { return job.quick ? LimitEffort::kQuick : LimitEffort::kFull; }
 };
 
 struct PictureSize {
@@ -254,7 +257,9 @@ Result<void> benchRender(Bench& bench) {
 
 // --- Loading ----------------------------------------------------------------------------------
 
-// Seconds to inflate the chunks of the model's factors on all cores, as they lie in the file.
+// Seconds to inflate the chunks of the model's factors on all cores, as they lie in the file. Calls
+// libhdf5 without the lock that model_file.cpp holds around it: a bench is the only job of its
+// process, and no other thread of it is in libhdf5 here.
 Result<double> inflateSeconds(const fs::path& path, double budget) {
   struct Chunk {
     std::vector<Bytef> deflated;
@@ -262,8 +267,10 @@ Result<double> inflateSeconds(const fs::path& path, double budget) {
   };
   std::vector<Chunk> chunks;
   const hid_t file = H5Fopen(path.c_str(), H5F_ACC_RDONLY, H5P_DEFAULT);
+  if (file < 0) return failure(ErrorCode::kIo, "{}: cannot be opened as HDF5", path.string());
   for (const char* name : {"E", "U", "V"}) {
     const hid_t set = H5Dopen2(file, name, H5P_DEFAULT);
+    if (set < 0) continue;
     const hid_t space = H5Dget_space(set);
     const hid_t type = H5Dget_type(set);
     const hid_t properties = H5Dget_create_plist(set);
@@ -333,7 +340,7 @@ Result<void> benchLoad(Bench& bench) {
     RETURN_IF_ERROR(outcome);
     std::error_code error;
     const auto bytes = static_cast<double>(fs::file_size(file.path(), error));
-    ASSIGN_OR_RETURN(const FileReadRate rate, warmFileRead(file.path()));
+    ASSIGN_OR_RETURN(const FileReadRate rate, warmFileRead(file.path(), bench.effort()));
     double limit = bytes / rate.allThreads;
     if (storage == Storage::kPacked) {
       ASSIGN_OR_RETURN(limit, inflateSeconds(file.path(), bench.budget()));
@@ -357,7 +364,7 @@ Result<void> benchLoad(Bench& bench) {
 
 // Pictures that are cheap to compute: bumps, matte with a highlight, and each pixel in shadow from
 // one side.
-LightStack bumps(const PictureSize& size, int lights) {
+Result<LightStack> bumps(const PictureSize& size, int lights) {
   struct Pixels {
     std::vector<Eigen::Vector3f> normal, shade;
     std::vector<float> albedo;
@@ -374,7 +381,8 @@ LightStack bumps(const PictureSize& size, int lights) {
     }
   }
   // As many as asked for, of the next larger grid.
-  auto directions = LightGrid::create(std::max(lights, 64)).value().directions();
+  ASSIGN_OR_RETURN(const LightGrid grid, LightGrid::create(std::max(lights, 64)));
+  auto directions = grid.directions();
   directions.resize(static_cast<std::size_t>(lights));
   return LightStack::of(size.width, size.height, directions, [=](int i) -> Result<RadianceImage> {
     const Eigen::Vector3f light = directions[static_cast<std::size_t>(i)].cast<float>();
@@ -431,7 +439,7 @@ struct Compression {
 // The quickest of `runs`, the memory of the first.
 Result<Compression> compressed(Bench& bench, const PictureSize& size, int lights, int runs,
                                bool keepL) {
-  const LightStack stack = bumps(size, lights);
+  ASSIGN_OR_RETURN(const LightStack stack, bumps(size, lights));
   const BlockLayout layout{size.width, size.height, 16};
   CompressOptions options;
   options.densify = CompressOptions::kDensifyOff;
@@ -609,13 +617,11 @@ Result<void> benchGrowth(Bench& bench) {
   return {};
 }
 
-}  // namespace
-
-Result<JobResult> benchJob(const BenchJob& job, Progress& progress) {
+Result<JobResult> measure(const BenchJob& job, Progress& progress) {
   Bench bench{job, progress};
   RETURN_IF_ERROR(bench.step("limits", 0, 1));
-  bench.bandwidth = readBandwidth();
-  bench.peak = fmaPeak();
+  bench.bandwidth = readBandwidth(bench.effort());
+  bench.peak = fmaPeak(bench.effort());
   bench.print("Limits: memory reads {:.1f} GB/s, multiply-add peak {:.0f} GFLOP/s\n",
               bench.bandwidth * 1e-9, bench.peak * 1e-9);
   bench.figures["limits"] = {{"readBytesPerSecond", bench.bandwidth},
@@ -625,6 +631,21 @@ Result<JobResult> benchJob(const BenchJob& job, Progress& progress) {
   RETURN_IF_ERROR(benchCompress(bench));
   RETURN_IF_ERROR(benchGrowth(bench));
   return JobResult{std::move(bench.text), std::move(bench.figures)};
+}
+
+}  // namespace
+
+Result<JobResult> benchJob(const BenchJob& job, Progress& progress) {
+  // Too little memory, too few threads or no temporary folder are the machine's, not ours.
+  try {
+    return measure(job, progress);
+  } catch (const std::bad_alloc&) {
+    return failure(ErrorCode::kIo, "bench: not enough memory; try --quick");
+  } catch (const std::logic_error&) {
+    throw;  // ours
+  } catch (const std::exception& error) {
+    return failure(ErrorCode::kIo, "bench: {}", error.what());
+  }
 }
 
 }  // namespace lightsketch

@@ -81,65 +81,88 @@ using Seconds = std::chrono::duration<double>;
 using Clock = std::chrono::steady_clock;
 
 // Keeps results alive that nobody asks for.
-volatile float sink;
+std::atomic<float> sink;
 
-// The best of `repeats` runs of work(thread) on `threads` threads at once, in seconds.
+struct Timing {
+  double seconds = std::numeric_limits<double>::infinity();
+  int threads = 1;  // that took part
+};
+
+// The best of `repeats` runs of work(thread, threads) on `wanted` threads at once, or on as many as
+// the system grants. `work` must not throw.
 template <class Work>
-double bestSeconds(int threads, int repeats, const Work& work) {
-  double best = std::numeric_limits<double>::infinity();
-  std::barrier together(threads);
+Timing bestTiming(int wanted, int repeats, const Work& work) {
+  Timing timing;  // written by thread 0 only; `threads` before the others pass the barrier
+  std::barrier together(wanted);
   const auto run = [&](int thread) {
     for (int repeat = 0; repeat < repeats; ++repeat) {
       together.arrive_and_wait();
       const auto start = Clock::now();
-      work(thread);
+      work(thread, timing.threads);
       together.arrive_and_wait();
-      if (thread == 0) best = std::min(best, Seconds(Clock::now() - start).count());
+      if (thread == 0)
+        timing.seconds = std::min(timing.seconds, Seconds(Clock::now() - start).count());
     }
   };
   std::vector<std::jthread> others;
-  for (int thread = 1; thread < threads; ++thread) others.emplace_back(run, thread);
+  others.reserve(static_cast<std::size_t>(wanted));
+  try {
+    for (; timing.threads < wanted; ++timing.threads) others.emplace_back(run, timing.threads);
+  } catch (const std::exception&) {
+    // Nobody waits at the barrier for threads that do not exist.
+    for (int missing = timing.threads; missing < wanted; ++missing) together.arrive_and_drop();
+  }
   run(0);
   others.clear();
-  return best;
+  return timing;
 }
 
 }  // namespace
 
-double readBandwidth() {
-  const int threads = tbb::info::default_concurrency();
+double readBandwidth(LimitEffort effort) {
+  const bool full = effort == LimitEffort::kFull;
+  const auto wanted = static_cast<std::size_t>(tbb::info::default_concurrency());
   constexpr std::size_t kStep = 256;  // floats; what sumOf wants
-  const std::size_t perThread =
-      (std::size_t{1} << 27) / static_cast<std::size_t>(threads) / kStep * kStep;
-  FactorValues memory(ElementType::kFloat32, perThread * static_cast<std::size_t>(threads));
+  const std::size_t floats = std::size_t{1} << (full ? 27 : 23);
+  const std::size_t perThread = std::max(floats / wanted / kStep, std::size_t{1}) * kStep;
+  FactorValues memory(ElementType::kFloat32, perThread * wanted);
   float* const values = memory.as<float>().data();
+  // Untouched memory would all be one page of zeros, in the cache.
   const auto partOf = [&](int thread) {
     return values + perThread * static_cast<std::size_t>(thread);
   };
-  // Untouched memory would all be one page of zeros, in the cache.
-  bestSeconds(threads, 1, [&](int thread) { std::fill_n(partOf(thread), perThread, 1.0f); });
-  const double seconds = bestSeconds(threads, 40, [&](int thread) {
-    sink = HWY_DYNAMIC_DISPATCH(sumOf)(partOf(thread), perThread);
+  bestTiming(static_cast<int>(wanted), 1,
+             [&](int thread, int) { std::fill_n(partOf(thread), perThread, 1.0f); });
+  const Timing best = bestTiming(static_cast<int>(wanted), full ? 40 : 4, [&](int thread, int) {
+    sink.store(HWY_DYNAMIC_DISPATCH(sumOf)(partOf(thread), perThread), std::memory_order_relaxed);
   });
-  return static_cast<double>(memory.bytes()) / seconds;
+  return static_cast<double>(perThread * sizeof(float)) * best.threads / best.seconds;
 }
 
-double fmaPeak() {
-  const int threads = tbb::info::default_concurrency();
+double fmaPeak(LimitEffort effort) {
+  const bool full = effort == LimitEffort::kFull;
   volatile float factor = 0.5f;  // not known when compiled; converges to 1
   double operations = 0;
-  const double seconds = bestSeconds(threads, 60, [&](int thread) {
-    float result = 0;
-    const double count = HWY_DYNAMIC_DISPATCH(multiplyAdd)(2'000'000, factor, result);
-    sink = result;
-    if (thread == 0) operations = count;
-  });
-  return operations * threads / seconds;
+  const Timing best =
+      bestTiming(tbb::info::default_concurrency(), full ? 60 : 4, [&](int thread, int) {
+        float result = 0;
+        const double count =
+            HWY_DYNAMIC_DISPATCH(multiplyAdd)(full ? 2'000'000 : 200'000, factor, result);
+        sink.store(result, std::memory_order_relaxed);
+        if (thread == 0) operations = count;
+      });
+  return operations * best.threads / best.seconds;
 }
 
-Result<FileReadRate> warmFileRead(const std::filesystem::path& file) {
-  const int fd = ::open(file.c_str(), O_RDONLY | O_CLOEXEC);
-  if (fd < 0) {
+Result<FileReadRate> warmFileRead(const std::filesystem::path& file, LimitEffort effort) {
+  struct Descriptor {
+    int fd;
+    ~Descriptor() {
+      if (fd >= 0) ::close(fd);
+    }
+  };
+  const Descriptor source{::open(file.c_str(), O_RDONLY | O_CLOEXEC)};
+  if (source.fd < 0) {
     return failure(ErrorCode::kIo, "{}: cannot open: {}", file.string(), systemMessage(errno));
   }
   std::error_code error;
@@ -147,23 +170,23 @@ Result<FileReadRate> warmFileRead(const std::filesystem::path& file) {
   FactorValues memory(ElementType::kInt8, static_cast<std::size_t>(error ? 0 : size));
   if (memory.count() > 0) std::memset(memory.data(), 1, memory.bytes());
   std::atomic<bool> torn = memory.count() == 0;
-  const auto rate = [&](int threads) {
-    const auto seconds = bestSeconds(threads, 12, [&](int thread) {
+  const int repeats = effort == LimitEffort::kFull ? 12 : 3;
+  const auto rate = [&](int wanted) {
+    const Timing best = bestTiming(wanted, repeats, [&](int thread, int threads) {
       constexpr std::size_t kPiece = std::size_t{1} << 20;
       const auto step = kPiece * static_cast<std::size_t>(threads);
       for (std::size_t at = kPiece * static_cast<std::size_t>(thread); at < memory.bytes();
            at += step) {
-        const std::size_t wanted = std::min(kPiece, memory.bytes() - at);
-        if (::pread(fd, memory.data() + at, wanted, static_cast<off_t>(at)) !=
-            static_cast<ssize_t>(wanted)) {
+        const std::size_t bytes = std::min(kPiece, memory.bytes() - at);
+        if (::pread(source.fd, memory.data() + at, bytes, static_cast<off_t>(at)) !=
+            static_cast<ssize_t>(bytes)) {
           torn = true;
         }
       }
     });
-    return static_cast<double>(memory.bytes()) / seconds;
+    return static_cast<double>(memory.bytes()) / best.seconds;
   };
   const FileReadRate result{rate(1), rate(tbb::info::default_concurrency())};
-  ::close(fd);
   if (torn) return failure(ErrorCode::kIo, "{}: cannot be read", file.string());
   return result;
 }
