@@ -72,8 +72,8 @@ std::function<void(const std::string&)> rankInto(std::optional<int>& target) {
 }
 
 void addCompressOptions(CLI::App& command, CompressOptions& options) {
-  command.add_option("--block", options.blockSize, "block size in pixels")
-      ->check(CLI::Range(4, 64))
+  command.add_option("--block", options.blockSize, "block size in pixels, 2 to 64")
+      ->check(CLI::Range(2, 64))
       ->capture_default_str();
   const auto* ranks = "The paper's setting";
   const auto* targets = "What the model is to be (one of these; ranks and rounding follow)";
@@ -117,7 +117,8 @@ void addCompressOptions(CLI::App& command, CompressOptions& options) {
       "of lights and environments are refused");
   command
       .add_option("--memory", options.memoryLimitBytes,
-                  "for the pictures being worked on (default 1500 MB)")
+                  "for the pictures being worked on, at least 16 MiB (default 1500 MB); the "
+                  "model's factors E and U come on top")
       ->type_name("BYTES")
       ->transform(CLI::AsSizeValue(true));
   command.add_option_function<std::string>(
@@ -444,12 +445,17 @@ struct Commands {
     command->add_option("--hold-out", validate_.holdOutRule,
                         "frames to measure on: every:8:4 (index modulo 8 is 4), cells:8:4 (whole "
                         "direction cells) or list:FILE");
-    command->add_option("--model", validate_.model,
-                        "model made with the same --hold-out; without it one is made here");
+    auto* model =
+        command->add_option("--model", validate_.model,
+                            "model made with the same --hold-out; without it one is made here");
     command->add_option("--environment", validate_.environment,
                         "environment map for the superposition check (default: a built-in sky)");
     command->add_option("--report", validate_.report, "folder for the report")->required();
+    // How a model is to be made says nothing about one that is there.
+    const std::size_t others = command->get_options().size();
     addCompressOptions(*command, validate_.compress);
+    const auto options = command->get_options();
+    for (std::size_t i = others; i < options.size(); ++i) options[i]->excludes(model);
     command->callback([this] {
       action = [this](ProgressBar& bar, const std::stop_token&) {
         return validateJob(validate_, bar);
