@@ -68,7 +68,7 @@ RowMajorMatrixf leadingEigenvectors(const RowMajorMatrixf& gram, std::span<const
                                     const RankRule& rule) {
   constexpr int kFirst = 10;
   constexpr int kSpare = 6;
-  constexpr int kSteps = 40;
+  constexpr int kSteps = 40;  // for each number of vectors that is tried
   const auto pixels = static_cast<int>(std::count(inPicture.begin(), inPicture.end(), true));
   const int most = rule.most > 0 ? std::min(rule.most, pixels) : pixels;
   const double energy = gram.diagonal().cast<double>().sum();
@@ -82,7 +82,10 @@ RowMajorMatrixf leadingEigenvectors(const RowMajorMatrixf& gram, std::span<const
   orthonormalise(X, inPicture);
   Eigen::VectorXd values;
   double captured = 0;
-  for (int step = 0; step < kSteps; ++step) {
+  bool converged = false;
+  int step = 0;
+  while (step < kSteps) {
+    ++step;
     RowMajorMatrixf Y = product(MatrixView(gram), MatrixView(X));
     const MatrixXd inner = product(MatrixView(X).transposed(), MatrixView(Y)).cast<double>();
     const Eigen::SelfAdjointEigenSolver<MatrixXd> solver(inner);
@@ -95,7 +98,10 @@ RowMajorMatrixf leadingEigenvectors(const RowMajorMatrixf& gram, std::span<const
     const bool done = now - captured < 1e-4 * left;
     captured = now;
     if (!done) continue;
-    if (wanted == most || !(values[wanted - 1] > rule.threshold)) break;
+    if (wanted == most || !(values[wanted - 1] > rule.threshold)) {
+      converged = true;
+      break;
+    }
     // All of these are worth keeping: there may be more.
     wanted = std::min(2 * wanted, most);
     if (3 * wanted > pixels) return byLapack(gram, most, rule.threshold);
@@ -104,7 +110,10 @@ RowMajorMatrixf leadingEigenvectors(const RowMajorMatrixf& gram, std::span<const
     for (Index k = before; k < X.cols(); ++k) fillWithNoise(X, k, inPicture);
     orthonormalise(X, inPicture);
     captured = 0;
+    step = 0;
   }
+  // How many lie above a threshold is only known of vectors that have settled.
+  if (!converged && rule.threshold > 0) return byLapack(gram, most, rule.threshold);
   Index kept = wanted;
   if (rule.threshold > 0) kept = (values.head(wanted).array() > rule.threshold).count();
   return X.leftCols(kept).transpose();

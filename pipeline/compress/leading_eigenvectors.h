@@ -16,8 +16,9 @@ struct RankRule {
 // b x p, orthonormal rows by falling eigenvalue, of a Gram matrix (p x p, both triangles): subspace
 // iteration with Rayleigh and Ritz's projection (Golub & Van Loan, 8.2.4) from a fixed start, until
 // a step adds less than a ten-thousandth of the energy that is left out; dsyevr where many are
-// wanted. `inPicture` (p): pixels that the picture has; rows and columns of the others are zero,
-// and at most as many vectors are found.
+// wanted, or where the iteration does not settle what is above a threshold. `inPicture` (p): pixels
+// that the picture has; rows and columns of the others are zero, and at most as many vectors are
+// found.
 RowMajorMatrixf leadingEigenvectors(const RowMajorMatrixf& gram, std::span<const bool> inPicture,
                                     const RankRule& rule);
 

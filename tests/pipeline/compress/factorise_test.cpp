@@ -98,6 +98,27 @@ TEST(FactoriseBlock, KeepsWhatIsAboveTheThreshold) {
   }
 }
 
+// Energies that fall slowly to far below the first: one number of vectors after the other turns out
+// too small, each after steps of its own. A gap says how many there are.
+TEST(LeadingEigenvectors, AreAllAboveTheThresholdHoweverManyWereTriedFirst) {
+  constexpr Index kPixels = 1024;
+  const auto inside = std::make_unique<bool[]>(kPixels);
+  std::fill_n(inside.get(), kPixels, true);
+  for (const Index above : {70, 150, 300}) {
+    RowMajorMatrixf gram = RowMajorMatrixf::Zero(kPixels, kPixels);
+    for (Index k = 0; k < kPixels; ++k)
+      gram(k, k) = std::pow(static_cast<float>(k + 1), -1.5f) * (k < above ? 1.0f : 0.25f);
+    const double threshold = 0.5 * std::pow(static_cast<double>(above), -1.5);
+    const RowMajorMatrixf found =
+        leadingEigenvectors(gram, {inside.get(), kPixels}, {.most = 0, .threshold = threshold});
+    ASSERT_EQ(found.rows(), above);
+    EXPECT_LT((found * found.transpose() - MatrixXf::Identity(above, above)).cwiseAbs().maxCoeff(),
+              1e-4f);
+    // They are the first coordinates, but for what the energy hardly shows.
+    EXPECT_GT(found.leftCols(above).squaredNorm(), 0.99f * static_cast<float>(above));
+  }
+}
+
 TEST(FactoriseBlock, SparesNothingForPixelsBeyondThePicture) {
   MatrixXf A = randomMatrix(64, 90, 4);
   A.topRows(20).setZero();
