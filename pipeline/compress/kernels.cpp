@@ -3,6 +3,7 @@
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
+#include <new>
 #include <stdexcept>
 
 // Vectors of a length known only at run time do not fit in arrays.
@@ -17,19 +18,28 @@
 namespace lightsketch {
 namespace {
 
+using AlignedValues = hwy::AlignedFreeUniquePtr<float[]>;
+
+// Highway's own gives a null pointer where there is no memory.
+AlignedValues allocateOrThrow(std::size_t size) {
+  AlignedValues values = hwy::AllocateAligned<float>(size);
+  if (!values) throw std::bad_alloc();
+  return values;
+}
+
 // Values of one thread that outlive a call, so that calls by the thousand need not allocate.
 class Scratch {
  public:
   float* of(std::size_t size) {
     if (size > size_) {
-      values_ = hwy::AllocateAligned<float>(size);
+      values_ = allocateOrThrow(size);
       size_ = size;
     }
     return values_.get();
   }
 
  private:
-  hwy::AlignedFreeUniquePtr<float[]> values_;
+  AlignedValues values_;
   std::size_t size_ = 0;
 };
 thread_local Scratch packedScratch;  // columns or rows being worked on
@@ -367,10 +377,12 @@ void forEach(std::size_t count, Cores cores, const Work& work) {
 
 }  // namespace
 
+std::int64_t kernelTargets() { return HWY_TARGETS; }
+
 PackedMatrix::PackedMatrix(const MatrixView& matrix, Cores cores)
     : rows_(matrix.rows), columns_(matrix.columns) {
   const std::size_t panelled = HWY_DYNAMIC_DISPATCH(packedSize)(1, columns_);
-  values_ = hwy::AllocateAligned<float>(std::max<std::size_t>(panelled * rows_, 1));
+  values_ = allocateOrThrow(std::max<std::size_t>(panelled * rows_, 1));
   forEach((rows_ + kDepth - 1) / kDepth, cores, [&](std::size_t i) {
     const std::size_t first = i * kDepth;
     HWY_DYNAMIC_DISPATCH(packB)

@@ -90,4 +90,7 @@ void projectColumns(const float* columns, std::size_t count, std::size_t p, cons
 // range become its largest.
 void planarHalfs(const float* pixels, std::size_t count, std::uint16_t* halfs);
 
+// Bits of the sets of instructions (Highway's targets) that all of this was built for.
+std::int64_t kernelTargets();
+
 }  // namespace lightsketch
