@@ -135,8 +135,9 @@ class Compression {
     TimePoint start = Clock::now();
     const auto folder = options_.scratchFolder.empty() ? std::filesystem::temp_directory_path()
                                                        : options_.scratchFolder;
-    ASSIGN_OR_RETURN(const ScratchStack scratch,
-                     ScratchStack::create(stack_, layout_, folder, progress_));
+    ASSIGN_OR_RETURN(
+        const ScratchStack scratch,
+        ScratchStack::create(stack_, layout_, folder, progress_, options_.memoryLimitBytes));
     summary_.readSeconds = secondsSince(start);
 
     start = Clock::now();
@@ -186,9 +187,12 @@ class Compression {
     model_.software = kSoftware;
   }
 
+  // Bounds of the search for a noise, as parts of the energy per pixel.
+  static constexpr double kFinest = 1.0 / (1 << 18);
+  static constexpr double kCoarsest = 1.0 / 4;
+
   // The finest that may be asked for.
   double leastNoise(const Pilot& pilot) const {
-    constexpr double kFinest = 1.0 / (1 << 18);  // as a part of the energy per pixel
     const double unit = std::max(pilot.energy, 1e-30) / pixels();
     if (options_.psnr) return kFinest * unit;
     if (options_.budgetBytes) {
@@ -241,9 +245,16 @@ class Compression {
     // The first stage kept what the finest noise asks for.
     const double unit = std::max(first.energy, 1e-30) / pixels();
     double finest = relativeNoise(options_.quality.value_or(Quality::kStandard)) * unit;
+    const double noisePerEnergy = 1 / rowThreshold(1, layout_.pixelsPerBlock());
+    double nothingLeft = 0;  // at this noise, of any row
     if (options_.budgetBytes || options_.psnr) {
-      finest = std::max(1e-30, *std::min_element(first.rowEnergy.begin(), first.rowEnergy.end()));
-      finest /= rowThreshold(1, layout_.pixelsPerBlock());
+      finest = kFinest * unit;
+      if (!first.rowEnergy.empty()) {
+        const auto [least, most] =
+            std::minmax_element(first.rowEnergy.begin(), first.rowEnergy.end());
+        finest = std::max(finest, *least * noisePerEnergy);
+        nothingLeft = *most * noisePerEnergy;
+      }
     }
     const int q = std::max(1, estimateRank(first.L, 0.7 * rankThreshold(finest)));
     const bool full = q == std::min(first.L.rows(), first.L.cols());
@@ -254,6 +265,7 @@ class Compression {
     noteEnergies(first.energy, second);
     const RateDistortion stages(layout_, std::move(first.blockOffset), first.E, first.rowEnergy,
                                 std::move(second.U), std::move(second.V));
+    first.E.resize(0, 0);
     const auto make = [&](double noise) -> Result<void> {
       if (progress_.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
       setPacked(model_, stages.encode(noise));
@@ -261,17 +273,26 @@ class Compression {
       countFactors(model_.rows(), model_.rank);
       return {};
     };
-    constexpr double kCoarsest = 1.0 / 4;  // as a part of the energy per pixel
+    // Where few blocks are lit, the finest noise may be above a quarter of the picture's mean.
+    double coarsest = std::max(kCoarsest * unit, 2 * finest);
     double noise = finest;
     if (options_.budgetBytes) {
-      ASSIGN_OR_RETURN(
-          noise, noiseNearest(finest, kCoarsest * unit, [&](double trial) {
-            return make(trial).and_then([&] { return fileBytes(); }).map([&](std::size_t bytes) {
-              return bytes <= *options_.budgetBytes;
-            });
-          }));
+      const auto fits = [&](double trial) {
+        return make(trial).and_then([&] { return fileBytes(); }).map([&](std::size_t bytes) {
+          return bytes <= *options_.budgetBytes;
+        });
+      };
+      ASSIGN_OR_RETURN(bool fit, fits(coarsest));
+      while (!fit && coarsest <= nothingLeft) {
+        coarsest *= 2;
+        ASSIGN_OR_RETURN(fit, fits(coarsest));
+      }
+      noise = coarsest;
+      if (fit) {
+        ASSIGN_OR_RETURN(noise, noiseNearest(finest, coarsest, fits));
+      }
     } else if (options_.psnr) {
-      ASSIGN_OR_RETURN(noise, noiseNearest(kCoarsest * unit, finest, [&](double trial) {
+      ASSIGN_OR_RETURN(noise, noiseNearest(coarsest, finest, [&](double trial) {
                          return make(trial).and_then([&] { return measure(); }).map([&] {
                            return summary_.error->srgbPsnr >= *options_.psnr;
                          });
@@ -362,6 +383,10 @@ Result<void> CompressOptions::validate() const {
     return failure(ErrorCode::kInvalidArgument,
                    "PSNR cannot be asked for with near light: the model's pictures are of far "
                    "light, and none was captured");
+  }
+  if (surface && densify == kDensifyOff) {
+    return failure(ErrorCode::kInvalidArgument,
+                   "near light always densifies; leave densifying on, or near light out");
   }
   if (densify != kDensifyAuto && densify != kDensifyOff && (densify < 64 || densify > 10000)) {
     return refuse("number of nodes to densify to", densify, "from 64 to 10000, or 0 for none");

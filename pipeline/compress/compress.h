@@ -110,8 +110,8 @@ struct CompressResult {
   CompressSummary summary;
 };
 
-// Uses all cores; the result depends on nothing but its input. Fails with kCancelled if `progress`
-// says so, with kIo if the scratch folder is full.
+// Uses all cores; on one machine the result depends on nothing but its input, whatever the number
+// of cores. Fails with kCancelled if `progress` says so, with kIo if the scratch folder is full.
 Result<CompressResult> compress(const Sketch& sketch, const CompressOptions& options,
                                 Progress& progress);
 // The same from any stack, all of it; `options.holdOutRule` must be empty, and the model does not

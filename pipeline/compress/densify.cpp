@@ -195,9 +195,10 @@ Mixture chooseMixture(std::span<const Vector3d> captured,
 
   // Every light counts the same, however hard it is to predict: errors are divided by those of a
   // single plain way.
-  const auto plain = std::find_if(ways.begin(), ways.end(), [](const Way& way) {
+  auto plain = std::find_if(ways.begin(), ways.end(), [](const Way& way) {
     return way.settings.stretch == 1 && way.settings.nugget > 1e-3;
   });
+  if (plain == ways.end()) plain = ways.begin();
   VectorXd squared = VectorXd::Constant(static_cast<Eigen::Index>(captured.size()), 1e-9);
   for (const auto& part : encoded) {
     squared += (plain->leaveOneOut * part[0] - part[0]).rowwise().squaredNorm().cast<double>();

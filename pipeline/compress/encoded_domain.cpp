@@ -48,7 +48,7 @@ V within(const DomainPrediction& prediction, std::size_t i) {
                  hn::Set(d, prediction.largest));
 }
 
-// Calls step(i) for whole vectors; true if nothing is left over.
+// Calls step(i) for whole vectors; returns how many values they held.
 template <class Step>
 std::size_t wholeVectors(std::size_t count, Step step) {
   std::size_t i = 0;

@@ -256,6 +256,12 @@ Result<SecondStage> factoriseAll(LargeMatrix L, int q, SecondStageMethod method,
   const auto side = static_cast<int>(std::min(L.rows(), L.cols()));
   const bool full = method == SecondStageMethod::kAuto && q == side;
   SecondStage result;
+  if (side == 0) {  // nothing was worth a row: pictures that are black
+    result.U.setZero(L.rows(), q);
+    result.V.setZero(q, L.cols());
+    result.exact = true;
+    return result;
+  }
   result.exact = full || method == SecondStageMethod::kExact ||
                  (method == SecondStageMethod::kAuto && q > side / 4);
   progress.update(kStage, 0, 1);

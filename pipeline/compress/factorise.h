@@ -27,8 +27,8 @@ enum class SecondStageMethod { kAuto, kExact, kRandomised };
 // double precision, or randomised where q is a small part of that side: block Krylov iteration
 // (Musco & Musco 2015) from a sketch of L's rows (Clarkson & Woodruff 2013) that goes on until the
 // error would fall by less than 0.01 dB. At full rank L itself is one factor and
-// an identity the other, unless kExact insists. Uses all cores; the result does not depend on their
-// number.
+// an identity the other, unless kExact insists. Of an L without rows: zeros. Uses all cores; the
+// result does not depend on their number.
 Result<SecondStage> factoriseAll(LargeMatrix L, int q, SecondStageMethod method,
                                  Progress& progress);
 

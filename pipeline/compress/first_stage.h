@@ -40,8 +40,9 @@ struct FirstStage {
   double energy = 0;                      // of the pictures: sum of squares
 };
 
-// Each block is read once. Uses all cores and at most `memoryBytes`, half of it for L, which goes
-// to a file beside the scratch stack where it is larger; E comes on top. The result does not depend
+// Each block is read once. Uses all cores, as far as the blocks being worked on fit into a quarter
+// of `memoryBytes` (one is, whatever it takes); half of it is for L, which goes to a file beside
+// the scratch stack where it is larger. E comes on top. The result does not depend
 // on the number of cores.
 Result<FirstStage> firstStage(const ScratchStack& scratch, const Densifier& densifier,
                               const BlockLayout& layout, const RankRule& rule,

@@ -85,6 +85,17 @@ RoundedBlock roundBlock(const Eigen::Ref<const RowMajorMatrixf>& E, const double
   return block;
 }
 
+// A code of zeros, with the one row that makes it a model like any other.
+std::shared_ptr<const PackedCode> black(std::shared_ptr<PackedCode> code) {
+  std::fill(code->blockOffset.begin() + 1, code->blockOffset.end(), 1);
+  code->rank = 1;
+  code->E.assign(static_cast<std::size_t>(code->layout.pixelsPerBlock()), 0);
+  code->U.assign(1, 0);
+  code->V.assign(3 * static_cast<std::size_t>(code->lights), 0);
+  code->stepE = code->stepU = code->stepV = {1.0f};
+  return code;
+}
+
 }  // namespace
 
 double rowThreshold(double noise, int pixelsPerBlock) { return 3 * noise * pixelsPerBlock; }
@@ -150,6 +161,7 @@ std::shared_ptr<const PackedCode> RateDistortion::encode(double noise) const {
   for (const auto& block : blocks)
     code->blockOffset.push_back(code->blockOffset.back() + block.integers.rows());
   const Index rows = code->blockOffset.back();
+  if (rows == 0) return black(std::move(code));
   RowMajorMatrixf L(rows, U_.cols());
   tbb::parallel_for(std::size_t{0}, m, [&](std::size_t j) {
     const auto from = blockOffset_[j];
@@ -171,7 +183,6 @@ std::shared_ptr<const PackedCode> RateDistortion::encode(double noise) const {
       }
     }
   });
-  if (rows == 0) return code;
 
   // The singular values of that L.
   MatrixXd gram = product(MatrixView(L).transposed(), MatrixView(L)).cast<double>();

@@ -36,7 +36,8 @@ class RateDistortion {
                  RowMajorMatrixf V);
 
   // The code of this noise. Basis pictures are rounded first, then the rest is fitted to what they
-  // became, U rounded and V fitted to that: no error is handed on. Uses all cores.
+  // became, U rounded and V fitted to that: no error is handed on. Where nothing is worth its bits,
+  // one row of zeros. Uses all cores.
   std::shared_ptr<const PackedCode> encode(double noise) const;
 
  private:

@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <cmath>
+#include <memory>
 #include <numbers>
 
 #include "pipeline/compress/factorise.h"
@@ -241,6 +242,34 @@ TEST(Compress, SceneThatIgnoresTheLightStaysConstant) {
   }
 }
 
+// A lens cap left on: a model nevertheless, through a file too.
+TEST(Compress, BlackPicturesMakeAModelThatDrawsBlack) {
+  const auto lights = randomLights(12, 7);
+  const auto sketch = makeSketch(freshFolder("sketch"), 40, 24, lights,
+                                 [](const Vector3d&) { return RadianceImage(40, 24, 3, 0.0f); });
+  for (const int densify : {CompressOptions::kDensifyAuto, CompressOptions::kDensifyOff}) {
+    for (CompressOptions options :
+         {CompressOptions{}, CompressOptions{.quality = Quality::kArchive},
+          CompressOptions{.budgetBytes = 1'000'000}, CompressOptions{.psnr = 40},
+          CompressOptions{.blockRank = 10, .rank = 20}, CompressOptions{.blockRank = 0, .rank = 0},
+          CompressOptions{.storage = Storage::kQ8}, CompressOptions{.singleLamp = true}}) {
+      options.densify = densify;
+      const auto [model, summary] = compressed(sketch, options);
+      const auto path = freshFolder("model.lsd");
+      ASSERT_TRUE(saveModel(model, path)) << summary.setting;
+      const auto loaded = loadModel(path);
+      ASSERT_TRUE(loaded) << summary.setting << ": " << loaded.error().message;
+      EXPECT_EQ(largestDifference(reconstruct(*loaded, intensitiesAt(*loaded, lights[0])),
+                                  RadianceImage(40, 24, 3, 0.0f)),
+                0)
+          << summary.setting;
+      EXPECT_GE(summary.rows, 1);
+      EXPECT_TRUE(std::isfinite(summary.ratioStage1) && std::isfinite(summary.ratio));
+      EXPECT_DOUBLE_EQ(summary.error->srgbPsnr, 100) << summary.setting;
+    }
+  }
+}
+
 TEST(Compress, ResultDependsOnlyOnItsInput) {
   const auto sketch = ballSketch(64, 40, randomLights(30, 9));
   const CompressOptions options{.blockRank = 8, .rank = 20};
@@ -316,6 +345,8 @@ TEST(Compress, RefusesNonsenseInWords) {
        {CompressOptions{.blockSize = 1}, CompressOptions{.blockRank = -1},
         CompressOptions{.rank = -1}, CompressOptions{.holdOutRule = "some"},
         CompressOptions{.densify = 3},
+        CompressOptions{.densify = CompressOptions::kDensifyOff,
+        .surface = std::make_shared<const SurfacePoints>(16, 16, 3)},
         CompressOptions{.quality = Quality::kSmall, .budgetBytes = 10000},
         CompressOptions{.psnr = 40, .rank = 20}, CompressOptions{.psnr = -1},
         CompressOptions{.storage = Storage::kPacked}}) {

@@ -123,7 +123,7 @@ TEST(RateDistortion, WhatIsNotWorthItsBitsIsDropped) {
   EXPECT_LT(coarse->rank, 12);
   EXPECT_LT(coarse->rows(), fine->rows());
   const auto nothing = stages.encode(1e6);
-  EXPECT_EQ(nothing->rows(), 0u);
+  EXPECT_EQ(nothing->rows(), 1u);  // of zeros
   EXPECT_NEAR(known.distortion(*nothing), known.factors.U.cast<double>().squaredNorm(), 1e-2);
 }
 
@@ -180,6 +180,47 @@ TEST_F(Targets, BudgetIsKeptAndUsed) {
   const auto tooLittle = compress(sketch_, {.budgetBytes = 2000}, progress);
   ASSERT_FALSE(tooLittle);
   EXPECT_NE(tooLittle.error().message.find("smallest"), std::string::npos);
+}
+
+// One lit block of 300: a row's worth of noise is far above the picture's mean energy.
+TEST(Budget, IsKeptWhereAllTheEnergyIsInOneBlock) {
+  const auto lights = randomLights(40, 3);
+  const auto lit = [](const Eigen::Vector3d& light) {
+    RadianceImage picture(320, 240, 3);
+    const RadianceImage balls = renderBalls(16, 16, light);
+    for (int y = 0; y < 16; ++y) {
+      for (int x = 0; x < 16; ++x) {
+        for (int c = 0; c < 3; ++c) picture(160 + x, 112 + y, c) = balls(x, y, c);
+      }
+    }
+    return picture;
+  };
+  const Sketch sketch = makeSketch(freshFolder("sketch"), 320, 240, lights, lit);
+  SilentProgress progress;
+  const auto small = [&](std::uint64_t budget) {
+    return compress(sketch, {.budgetBytes = budget, .densify = CompressOptions::kDensifyOff},
+                    progress);
+  };
+  const auto tooLittle = small(100);
+  ASSERT_FALSE(tooLittle);
+  const std::string words = tooLittle.error().message;
+  EXPECT_NE(words.find("smallest"), std::string::npos);
+  const auto least = std::stoull(words.substr(words.find("takes ") + 6));
+  double first = 0;
+  double psnr = 0;
+  for (const std::uint64_t budget : {least + 64, least + 500, least + 1500, least + 4000}) {
+    const auto made = small(budget);
+    ASSERT_TRUE(made) << budget << ": " << made.error().message;
+    const auto path = freshFolder("saved.lsd");
+    ASSERT_TRUE(saveModel(made->model, path));
+    EXPECT_LE(std::filesystem::file_size(path), budget);
+    fmt::print("{} bytes: {:.2f} dB, {} rows\n", budget, made->summary.error->srgbPsnr,
+               made->summary.rows);
+    EXPECT_GE(made->summary.error->srgbPsnr, psnr);
+    psnr = made->summary.error->srgbPsnr;
+    if (first == 0) first = psnr;
+  }
+  EXPECT_GT(psnr, first + 5);
 }
 
 // A 32nd of an octave of noise is 0.1 dB at most.
