@@ -111,16 +111,18 @@ hsize_t rowsPerChunk(hsize_t rows, hsize_t rowBytes) {
                              std::max<hsize_t>(rows, 1));
 }
 
-// HDF5's shuffle: all first bytes, then all second ones.
-void shuffle(std::span<const std::byte> in, std::size_t element, std::byte* out) {
-  const std::size_t count = in.size() / element;
-  for (std::size_t b = 0; b < element; ++b)
-    for (std::size_t i = 0; i < count; ++i) out[b * count + i] = in[i * element + b];
+// HDF5's shuffle of 16-bit numbers: all lower bytes, then all upper ones.
+void shuffle(std::span<const std::uint16_t> in, std::byte* out) {
+  for (std::size_t i = 0; i < in.size(); ++i) {
+    out[i] = static_cast<std::byte>(in[i] & 0xff);
+    out[in.size() + i] = static_cast<std::byte>(in[i] >> 8);
+  }
 }
-void unshuffle(std::span<const std::byte> in, std::size_t element, std::byte* out) {
-  const std::size_t count = in.size() / element;
-  for (std::size_t b = 0; b < element; ++b)
-    for (std::size_t i = 0; i < count; ++i) out[i * element + b] = in[b * count + i];
+void unshuffle(const std::byte* planes, std::span<std::uint16_t> out, std::size_t whole) {
+  for (std::size_t i = 0; i < out.size(); ++i) {
+    out[i] = static_cast<std::uint16_t>(std::to_integer<unsigned>(planes[i]) |
+                                        std::to_integer<unsigned>(planes[whole + i]) << 8);
+  }
 }
 
 // Quantised factors hold next to no repetitions but runs of zeros. Looking for no other is 20 times
@@ -190,7 +192,7 @@ class Writer {
       std::copy_n(values.begin() + static_cast<std::ptrdiff_t>(from),
                   std::min(numbers.size(), values.size() - from), numbers.begin());
       planes.resize(numbers.size() * sizeof(std::uint16_t));
-      shuffle(std::as_bytes(std::span(numbers)), sizeof(std::uint16_t), planes.data());
+      shuffle(numbers, planes.data());
       deflated[c] = deflate(planes, strategy);
     });
     const Handle space(H5Screate_simple(2, shape.data(), nullptr), H5Sclose);
@@ -382,7 +384,8 @@ bool buildFile(const RelightableModel& model, Use use) {
       (*places)[i] = {values.type(), writer.plain(kFactorNames[i], shapes[i], type, values.data()),
                       values.bytes()};
     }
-    if (!model.E.scale.empty()) writer.list("E_scale", model.E.scale);
+    if (!model.E.scale.empty())
+      writer.plain("E_scale", {model.E.scale.size()}, H5T_IEEE_F32LE, model.E.scale.data());
   }
   std::vector<int> ranks;
   for (std::size_t j = 0; j + 1 < model.blockOffset.size(); ++j)
@@ -720,7 +723,6 @@ Result<PackedCode::Numbers> readPacked(Reader& reader, const char* name, const S
   struct Buffers {
     Bytes deflated;
     Bytes planes;
-    std::vector<Number> numbers;
   };
   tbb::enumerable_thread_specific<Buffers> perThread;
   std::mutex mutex;  // guards libhdf5
@@ -728,7 +730,6 @@ Result<PackedCode::Numbers> readPacked(Reader& reader, const char* name, const S
   tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) {
     Buffers& buffers = perThread.local();
     buffers.planes.resize(chunkBytes);
-    buffers.numbers.resize(chunk[0] * chunk[1]);
     {
       const std::scoped_lock lock(mutex);
       const hsize_t place[] = {c * chunk[0], 0};
@@ -754,10 +755,10 @@ Result<PackedCode::Numbers> readPacked(Reader& reader, const char* name, const S
       failed = true;
       return;
     }
-    unshuffle(buffers.planes, sizeof(Number), reinterpret_cast<std::byte*>(buffers.numbers.data()));
-    const std::size_t from = c * buffers.numbers.size();
-    std::copy_n(buffers.numbers.begin(), std::min(buffers.numbers.size(), values.size() - from),
-                values.begin() + static_cast<std::ptrdiff_t>(from));
+    const std::size_t whole = chunk[0] * chunk[1];
+    const std::size_t from = c * whole;
+    unshuffle(buffers.planes.data(),
+              std::span(values).subspan(from, std::min(whole, values.size() - from)), whole);
   });
   if (failed) return refuse();
   return values;

@@ -38,9 +38,7 @@ struct PackedCode {
 inline std::uint16_t foldSign(int value) {
   return static_cast<std::uint16_t>(value >= 0 ? 2 * value : -2 * value - 1);
 }
-inline int unfoldSign(std::uint16_t folded) {
-  return (folded & 1) != 0 ? -(folded / 2) - 1 : folded / 2;
-}
+inline int unfoldSign(std::uint16_t folded) { return (folded >> 1) ^ -(folded & 1); }
 
 // The rows of E and U as they stand in a code: all blocks' first ones, then all second ones...
 std::vector<std::size_t> packedRowOrder(const std::vector<std::int64_t>& blockOffset);
