@@ -8,8 +8,12 @@
 namespace lightsketch {
 namespace {
 
+constexpr std::size_t kLargePage = std::size_t{1} << 21;
+
+// What is large ends with a large page, too.
 std::size_t inPages(std::size_t bytes) {
-  static const auto page = static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
+  static const auto small = static_cast<std::size_t>(::sysconf(_SC_PAGESIZE));
+  const std::size_t page = bytes >= kLargePage ? kLargePage : small;
   return (bytes + page - 1) / page * page;
 }
 
@@ -17,7 +21,6 @@ std::size_t inPages(std::size_t bytes) {
 
 void* mapPages(std::size_t bytes) {
   // Aligned to large pages by asking for one more and giving back what lies before and after.
-  constexpr std::size_t kLargePage = std::size_t{1} << 21;
   const std::size_t used = inPages(bytes);
   const std::size_t surplus = used >= kLargePage ? kLargePage : 0;
   void* const mapped =
