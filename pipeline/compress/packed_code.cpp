@@ -89,7 +89,7 @@ void setPacked(RelightableModel& model, std::shared_ptr<const PackedCode> shared
   const PackedMatrix dct(MatrixView(dctMatrix(code.layout.blockSize)), Cores::kAll);
   constexpr std::size_t kStrip = 512;  // rows
   struct Strip {
-    RowMajorMatrixf coefficients;
+    RowMajorMatrixf coefficients;  // a column a basis picture, as the code has it
     RowMajorMatrixf pixels;
   };
   oneapi::tbb::enumerable_thread_specific<Strip> strips;
@@ -97,16 +97,16 @@ void setPacked(RelightableModel& model, std::shared_ptr<const PackedCode> shared
     Strip& strip = strips.local();
     const std::size_t first = s * kStrip;
     const std::size_t count = std::min(kStrip, rows - first);
-    strip.coefficients.resize(static_cast<Index>(count), static_cast<Index>(p));
+    strip.coefficients.resize(static_cast<Index>(p), static_cast<Index>(count));
     strip.pixels.resize(static_cast<Index>(count), static_cast<Index>(p));
     for (std::size_t k = 0; k < p; ++k) {
       const std::uint16_t* const from = code.E.data() + k * rows + first;
-      for (std::size_t i = 0; i < count; ++i) {
-        strip.coefficients(static_cast<Index>(i), static_cast<Index>(k)) =
-            static_cast<float>(unfoldSign(from[i])) * code.stepE[first + i];
-      }
+      const float* const step = code.stepE.data() + first;
+      float* const to = strip.coefficients.data() + k * count;
+      for (std::size_t i = 0; i < count; ++i)
+        to[i] = static_cast<float>(unfoldSign(from[i])) * step[i];
     }
-    multiply(MatrixView(strip.coefficients), dct, strip.pixels.data(), p, Cores::kOne);
+    multiply(MatrixView(strip.coefficients).transposed(), dct, strip.pixels.data(), p, Cores::kOne);
     for (std::size_t i = 0; i < count; ++i) {
       const auto row = strip.pixels.row(static_cast<Index>(i));
       const std::size_t r = order[first + i];
