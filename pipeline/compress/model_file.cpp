@@ -27,6 +27,7 @@
 #include "capture/frame/file.h"
 #include "pipeline/compress/model.h"
 #include "pipeline/compress/packed_code.h"
+#include "pipeline/compress/scratch_file.h"
 
 namespace lightsketch {
 namespace {
@@ -439,20 +440,6 @@ class Descriptor {
  private:
   int fd_;
 };
-
-int readAll(int fd, void* to, std::uint64_t count, std::uint64_t at) {
-  auto* bytes = static_cast<char*>(to);
-  while (count > 0) {
-    const ssize_t done = ::pread(fd, bytes, count, static_cast<off_t>(at));
-    if (done < 0 && errno == EINTR) continue;
-    if (done < 0) return errno;
-    if (done == 0) return EIO;
-    bytes += done;
-    at += static_cast<std::uint64_t>(done);
-    count -= static_cast<std::uint64_t>(done);
-  }
-  return 0;
-}
 
 // What the user block says, before libhdf5 has seen the file.
 struct Head {
