@@ -76,5 +76,8 @@ class Camera {
 Result<std::vector<CameraInfo>> listCameras();
 // Fails with kNotFound and a message that says what was tried and what is connected.
 Result<std::unique_ptr<Camera>> openCamera(const std::string& address);
+// How whoever needs a camera gets it by its address: openCamera, or something around it that also
+// looks at the frames.
+using CameraOpener = std::function<Result<std::unique_ptr<Camera>>(const std::string& address)>;
 
 }  // namespace lightsketch

@@ -7,6 +7,7 @@
 #include <atomic>
 #include <cmath>
 #include <condition_variable>
+#include <deque>
 #include <iterator>
 #include <mutex>
 #include <thread>
@@ -20,9 +21,20 @@
 #include "pipeline/sketch/image_file.h"
 
 namespace lightsketch {
-namespace {
 
 using Eigen::Vector3d;
+
+struct RecorderControl::State {
+  struct Wish {
+    std::optional<std::pair<Vector3d, Angle>> region;  // to drop; none: undo
+    std::string reason;
+  };
+  std::mutex mutex;  // Guards paused and wishes.
+  bool paused = false;
+  std::deque<Wish> wishes;
+};
+
+namespace {
 
 constexpr std::size_t kFrameQueue = 16;  // more than a second at the usual rates
 constexpr std::size_t kWriteQueue = 8;
@@ -836,15 +848,13 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
   finish(drain);
   if (!started) return tl::unexpected(started.error());
   if (error_) return tl::unexpected(*error_);
-  if (lost_ && written_ == 0 && summary_.resumedFrom == 0) {
-    return failure(ErrorCode::kDevice, "{}; nothing was recorded", ended_);
-  }
   report();
   return summarise();
 }
 
 RecorderSummary Recording::summarise() {
   summary_.ended = ended_;
+  summary_.cameraLost = lost_;
   summary_.timeZero = firstFrame_.value_or(start_) - fromSeconds(secondsBefore_);
   summary_.recorded = written_;
   summary_.captured = durable_;
@@ -903,6 +913,24 @@ Json describe(const char* role, const CameraInfo& info) {
 
 }  // namespace
 
+RecorderControl::RecorderControl() : state_(std::make_unique<State>()) {}
+RecorderControl::~RecorderControl() = default;
+
+void RecorderControl::pause(bool paused) {
+  const std::lock_guard lock(state_->mutex);
+  state_->paused = paused;
+}
+
+void RecorderControl::undo() {
+  const std::lock_guard lock(state_->mutex);
+  state_->wishes.push_back({});
+}
+
+void RecorderControl::dropRegion(const Vector3d& centre, Angle radius, std::string reason) {
+  const std::lock_guard lock(state_->mutex);
+  state_->wishes.push_back({{{centre.normalized(), radius}}, std::move(reason)});
+}
+
 std::string describe(Refusal refusal) {
   switch (refusal) {
     case Refusal::kNone:
@@ -957,7 +985,8 @@ Result<RecorderSummary> record(Camera& sceneCamera, std::span<const SourceCamera
                                const RigGeometry& rig, const std::filesystem::path& sketchFolder,
                                const RecorderOptions& options, Progress& progress,
                                std::stop_token stop,
-                               std::function<void(const RecorderState&)> onState) {
+                               std::function<void(const RecorderState&)> onState,
+                               RecorderControl* /*control*/) {
   RETURN_IF_ERROR(validate(options));
   if (sources.empty() || sources.size() != rig.sourceCameras.size()) {
     return failure(ErrorCode::kInvalidArgument,

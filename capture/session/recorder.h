@@ -4,6 +4,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <cstdint>
 #include <filesystem>
 #include <functional>
 #include <map>
@@ -18,8 +19,10 @@
 #include "calibration/model/rig_geometry.h"
 #include "calibration/model/sensor_model.h"
 #include "capture/device/camera.h"
+#include "capture/frame/angle.h"
 #include "capture/frame/progress.h"
 #include "capture/frame/result.h"
+#include "capture/frame/time.h"
 #include "capture/session/coverage.h"
 #include "capture/tracker/lamp_tracker.h"
 #include "pipeline/sketch/sketch.h"
@@ -80,13 +83,15 @@ struct RecorderOptions {
 };
 
 struct RecorderSummary {
-  std::string ended;    // why, for the user: "coverage goal reached", or how a camera was lost
-  int recorded = 0;     // frames on disk, of this recording
-  int resumedFrom = 0;  // frames that the sketch held before
-  int offered = 0;      // scene frames that were judged
-  int captured = 0;     // directions, with those of before
-  int directions = 0;   // wanted
-  double coverage = 0;  // captured / directions
+  std::string ended;        // why, for the user: "coverage goal reached", or how a camera was lost
+  bool cameraLost = false;  // that is why it ended
+  int reconnections = 0;    // times that lost cameras were found again and gone on with
+  int recorded = 0;         // frames on disk, of this recording, without those undone
+  int resumedFrom = 0;      // frames that the sketch held before
+  int offered = 0;          // scene frames that were judged
+  int captured = 0;         // directions, with those of before
+  int directions = 0;       // wanted
+  double coverage = 0;      // captured / directions
   double seconds = 0;
   TimePoint timeZero;  // what this recording's midExposureSeconds count from
   std::map<Refusal, int> refusals;
@@ -96,17 +101,68 @@ struct RecorderSummary {
   std::string describe() const;  // a few lines
 };
 
-// Told to whoever guides the person: where to go next. Called from the recorder's thread.
+// What was decided about one scene frame.
+struct JudgedFrame {
+  Refusal refusal = Refusal::kNone;
+  std::optional<Eigen::Vector3d> direction;  // of the light, where it is known
+  TimePoint arrival;                         // when the frame's last byte was here
+  TimePoint decided;
+};
+
+// Told to whoever guides the person: where to go next, what has become of the last frame. Called
+// for every scene frame and, where none comes, every 100 ms; always from one thread at a time.
 struct RecorderState {
   bool lampWantedOff = false;  // the ambient frame is being taken
   std::optional<Eigen::Vector3d> nextDirection;
   std::optional<Eigen::Vector3d> lampDirection;  // where it is now, scene frame
+  Angle directionSigma;                          // its one sigma along the worst axis
   std::optional<LampObservation> lamp;           // the same as a source camera saw it,
   int lampCamera = 0;                            // and which
   std::string lampTrouble;                       // why it is not seen now; empty if it is
   Refusal lastRefusal = Refusal::kNone;
+  std::optional<JudgedFrame> judged;  // by this very call; nothing if it was made for other reasons
+  std::map<Refusal, int> refusals;    // so far
   int recorded = 0;
   double coverage = 0;
+  bool paused = false;
+  // The wanted directions, and which of them are captured: accepted, and on their way to the disk
+  // if not there yet. Never null; the latter is another object whenever it has changed.
+  std::shared_ptr<const std::vector<Eigen::Vector3d>> grid;
+  std::shared_ptr<const std::vector<bool>> captured;
+  // Empty, or "the scene camera was lost: ...; trying again in 4 s".
+  std::string waitingFor;
+  // The links, twice a second.
+  StreamStatistics scene;
+  std::vector<StreamStatistics> sources;
+  std::uint64_t droppedByQueues = 0;  // frames the program could not keep up with
+  double pairingErrorSeconds = 0;     // the last paired frame's time to its nearest source frame
+};
+
+// What the person may want meanwhile. Thread-safe, every call returns at once; what it asks for is
+// done by the thread that owns the sketch, as journal events, and RecorderState follows. One for
+// each recording, also where that goes on with other cameras in the same sketch (then it hands on
+// what is to be undone, the ambient light and the lights of the room that were learnt).
+class RecorderControl {
+ public:
+  RecorderControl();
+  ~RecorderControl();
+  RecorderControl(const RecorderControl&) = delete;
+  RecorderControl& operator=(const RecorderControl&) = delete;
+
+  // While paused scene frames are let go; lamp, guide and state go on.
+  void pause(bool paused);
+  // Takes back the latest frame that this recording kept, or the latest dropRegion() where that
+  // came later. Called again, it goes further back; at the beginning it does nothing.
+  void undo();
+  // Drops all frames of the sketch, those of earlier recordings included, whose direction is within
+  // `radius` of `centre`. Their cells are open again.
+  void dropRegion(const Eigen::Vector3d& centre, Angle radius, std::string reason);
+
+  struct State;
+  State& state() { return *state_; }  // record()'s
+
+ private:
+  std::unique_ptr<State> state_;
 };
 
 // A source camera and its lens.
@@ -130,12 +186,13 @@ struct SourceCamera {
 // about the subject, or far away if there is none. With a known position, lampScale holds the
 // fall-off against the reference distance (lampRadiusMetres, else 1 m).
 //
-// Fails if the cameras, the models and the sketch do not fit, if a write fails (whole frames stay),
-// or if a camera is lost before any frame was recorded.
+// Fails if the cameras, the models and the sketch do not fit, or if a write fails (whole frames
+// stay).
 Result<RecorderSummary> record(Camera& sceneCamera, std::span<const SourceCamera> sources,
                                const RigGeometry& rig, const std::filesystem::path& sketchFolder,
                                const RecorderOptions& options, Progress& progress,
                                std::stop_token stop = {},
-                               std::function<void(const RecorderState&)> onState = {});
+                               std::function<void(const RecorderState&)> onState = {},
+                               RecorderControl* control = nullptr);
 
 }  // namespace lightsketch

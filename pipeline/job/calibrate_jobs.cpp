@@ -85,10 +85,11 @@ Views viewsOfCamera(const LiveViews& live, std::size_t camera) {
   return views;
 }
 
-Result<std::vector<std::unique_ptr<Camera>>> openAll(std::span<const std::string> addresses) {
+Result<std::vector<std::unique_ptr<Camera>>> openAll(std::span<const std::string> addresses,
+                                                     const CameraOpener& open) {
   std::vector<std::unique_ptr<Camera>> cameras;
   for (const std::string& address : addresses) {
-    ASSIGN_OR_RETURN(auto camera, openCamera(address));
+    ASSIGN_OR_RETURN(auto camera, open(address));
     cameras.push_back(std::move(camera));
   }
   return cameras;
@@ -334,7 +335,7 @@ Result<JobResult> lensJob(const LensJob& job, Progress& progress, std::stop_toke
   } else if (!job.sketch.empty()) {
     ASSIGN_OR_RETURN(views, viewsInSketch(job.sketch, job.board, progress));
   } else {
-    ASSIGN_OR_RETURN(const auto camera, openCamera(job.camera));
+    ASSIGN_OR_RETURN(const auto camera, job.open(job.camera));
     LiveViewOptions options;
     options.board = job.board;
     options.wanted = job.views;
@@ -377,7 +378,7 @@ Result<JobResult> rigCalibrationJob(const RigCalibrationJob& job, Progress& prog
   ASSIGN_OR_RETURN(auto folder, PendingFolder::create(job.out));
   std::vector<std::string> addresses{job.sceneCamera};
   addresses.insert(addresses.end(), job.sourceCameras.begin(), job.sourceCameras.end());
-  ASSIGN_OR_RETURN(const auto cameras, openAll(addresses));
+  ASSIGN_OR_RETURN(const auto cameras, openAll(addresses, job.open));
   LiveViewOptions options;
   options.board = job.board;
   options.wanted = job.views;

@@ -32,6 +32,7 @@ struct LensJob {
   std::vector<std::filesystem::path> images;  // files and folders
   std::filesystem::path sketch;
   std::string camera;
+  CameraOpener open = openCamera;
   int views = 40;  // of a live camera
   double timeLimitSeconds = 180;
   BoardGeometry board;
@@ -48,6 +49,7 @@ Result<JobResult> lensJob(const LensJob& job, Progress& progress, std::stop_toke
 struct RigCalibrationJob {
   std::string sceneCamera;
   std::vector<std::string> sourceCameras;
+  CameraOpener open = openCamera;
   int views = 40;
   double timeLimitSeconds = 240;
   BoardGeometry board;
@@ -121,6 +123,7 @@ struct ResponseJob {
   std::filesystem::path diffuser;  // of an even diffuser
   // Or: a live camera, bracketed by this program from the shortest to the longest exposure.
   std::string camera;
+  CameraOpener open = openCamera;
   std::optional<PixelFormat> format;  // that the camera is to send
   double shortestSeconds = 0.0005;
   double longestSeconds = 0.5;

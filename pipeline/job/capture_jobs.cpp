@@ -26,11 +26,11 @@ Result<RecorderSummary> recordFrom(const RecordJob& job,
                                    RigGeometry geometry, Progress& progress, std::stop_token stop,
                                    const std::function<void(const RecorderState&)>& onState) {
   if (job.lampRadiusMetres) geometry.lampRadiusMetres = job.lampRadiusMetres;
-  ASSIGN_OR_RETURN(const auto scene, openCamera(job.sceneCamera));
+  ASSIGN_OR_RETURN(const auto scene, job.open(job.sceneCamera));
   std::vector<std::unique_ptr<Camera>> cameras;
   std::vector<SourceCamera> sources;
   for (std::size_t i = 0; i < job.sourceCameras.size(); ++i) {
-    ASSIGN_OR_RETURN(auto camera, openCamera(job.sourceCameras[i]));
+    ASSIGN_OR_RETURN(auto camera, job.open(job.sourceCameras[i]));
     cameras.push_back(std::move(camera));
     sources.push_back({*cameras.back(), models[i]});
   }
@@ -40,7 +40,12 @@ Result<RecorderSummary> recordFrom(const RecordJob& job,
     options.sceneFormat = sensor.format;
     options.sceneSensor = std::make_shared<const SensorModel>(std::move(sensor));
   }
-  return record(*scene, sources, geometry, job.sketch, options, progress, std::move(stop), onState);
+  ASSIGN_OR_RETURN(auto summary, record(*scene, sources, geometry, job.sketch, options, progress,
+                                        std::move(stop), onState, job.control));
+  if (summary.cameraLost && summary.recorded + summary.resumedFrom == 0) {
+    return failure(ErrorCode::kDevice, "{}; nothing was recorded", summary.ended);
+  }
+  return summary;
 }
 
 JobResult resultOf(const RecordJob& job, const RecorderSummary& summary) {

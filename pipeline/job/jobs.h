@@ -40,7 +40,9 @@ struct RigJob {
 Result<JobResult> rigJob(const RigJob& job, const std::function<void(const std::string&)>& onReady,
                          std::stop_token stop);
 
-// Records a sketch. With neither camera named, the simulated rig is started and recorded.
+// Records a sketch. With neither camera named, the simulated rig is started and recorded. Fails if
+// a camera is lost before any frame was recorded; lost later, the recording ends, unless
+// `reconnectSeconds` says for how long it is to be tried again.
 struct RecordJob {
   std::string sceneCamera;
   std::vector<std::string> sourceCameras;
@@ -51,6 +53,13 @@ struct RecordJob {
   std::filesystem::path sketch;
   RecorderOptions recorder;
   SimulatedRigOptions simulatedRig;
+  // Lost cameras are opened again, after 0.5 s, 1 s, ... 8 s, for at most so long at a stretch, and
+  // the sketch is gone on with. 0: the recording ends.
+  double reconnectSeconds = 0;
+  // Called on a thread of its own; an attempt that `stop` did not want to wait for may still be in
+  // it when recordJob has returned, so what it captures must be its own.
+  CameraOpener open = openCamera;
+  RecorderControl* control = nullptr;  // outlives the job; may be null
 };
 Result<JobResult> recordJob(const RecordJob& job, Progress& progress, std::stop_token stop,
                             const std::function<void(const RecorderState&)>& onState = {});
@@ -108,7 +117,7 @@ struct CullJob {
   std::filesystem::path sketch;
   std::filesystem::path report;  // folder for index.html and cull.json; empty: none
   bool apply = false;            // needs a report, which keeps what undoes it
-  std::filesystem::path undo;    // cull.json of an earlier apply: takes all of it back, nothing else
+  std::filesystem::path undo;  // cull.json of an earlier apply: takes all of it back, nothing else
 };
 Result<JobResult> cullJob(const CullJob& job, Progress& progress);
 

@@ -34,7 +34,16 @@ struct Stream {
   TimePoint shownTime;
   ViewVerdict verdict = ViewVerdict::kNoBoard;
   std::optional<Frame> shown;
+  std::vector<Eigen::Vector2d> corners;  // in `shown`, whatever the verdict
+  std::shared_ptr<const std::vector<Eigen::Vector2d>> kept =
+      std::make_shared<std::vector<Eigen::Vector2d>>();
 };
+
+std::vector<Eigen::Vector2d> pixelsOf(const BoardView& view) {
+  std::vector<Eigen::Vector2d> pixels;
+  for (const BoardCorner& corner : view.corners) pixels.push_back(corner.pixel);
+  return pixels;
+}
 
 // Detection wants brightness, not calibration.
 Result<BoardDetection> detectIn(const Frame& frame, const BoardGeometry& board) {
@@ -163,6 +172,7 @@ Result<LiveViews> collectLiveViews(std::span<Camera* const> cameras, const LiveV
       Stream& stream = *fresh[i];
       stream.shownTime = stream.shown->metadata.midExposure;
       stream.verdict = stream.collector->judge(found[i]->view, stream.shownTime);
+      stream.corners = pixelsOf(found[i]->view);
       stream.view.reset();
       if (stream.verdict == ViewVerdict::kKeep || stream.verdict == ViewVerdict::kNotNew) {
         stream.view = std::move(found[i]->view);
@@ -194,14 +204,25 @@ Result<LiveViews> collectLiveViews(std::span<Camera* const> cameras, const LiveV
                                                          (sighting.name + ".png")));
         }
         stream.collector->keep(*stream.view);
+        auto corners = std::make_shared<std::vector<Eigen::Vector2d>>(*stream.kept);
+        const auto added = pixelsOf(*stream.view);
+        corners->insert(corners->end(), added.begin(), added.end());
+        stream.kept = std::move(corners);
         ++result.counts[i];
         sighting.views.push_back(stream.view);
       }
       result.sightings.push_back(std::move(sighting));
     }
     if (onState) {
-      LiveViewState state{{}, result.counts, options.wanted};
-      for (const auto& stream : streams) state.verdicts.push_back(stream->verdict);
+      LiveViewState state;
+      state.counts = result.counts;
+      state.wanted = options.wanted;
+      state.sizes = result.sizes;
+      for (const auto& stream : streams) {
+        state.verdicts.push_back(stream->verdict);
+        state.corners.push_back(stream->corners);
+        state.kept.push_back(stream->kept);
+      }
       onState(state);
     }
   }

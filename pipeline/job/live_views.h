@@ -1,12 +1,15 @@
 // Views of a calibration board from running cameras.
 #pragma once
 
+#include <Eigen/Core>
 #include <filesystem>
 #include <functional>
+#include <memory>
 #include <optional>
 #include <span>
 #include <stop_token>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "calibration/lens/board_detection.h"
@@ -42,6 +45,12 @@ struct LiveViewState {
   std::vector<ViewVerdict> verdicts;
   std::vector<int> counts;
   int wanted = 0;
+  std::vector<std::pair<int, int>> sizes;  // of the pictures, width and height
+  // The board's corners as found in the last picture, pixels; empty where no board was.
+  std::vector<std::vector<Eigen::Vector2d>> corners;
+  // Those of all views kept so far, which is where the field is covered. Never null; another object
+  // whenever views were added.
+  std::vector<std::shared_ptr<const std::vector<Eigen::Vector2d>>> kept;
 };
 
 // Streams all cameras and keeps a sighting whenever the board stands still somewhere that is new to

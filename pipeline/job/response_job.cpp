@@ -99,7 +99,7 @@ Result<Pictures> takeLive(const ResponseJob& job, Progress& progress, const std:
                    "shortest ({} s)",
                    job.longestSeconds, job.shortestSeconds);
   }
-  ASSIGN_OR_RETURN(const auto camera, openCamera(job.camera));
+  ASSIGN_OR_RETURN(const auto camera, job.open(job.camera));
   const bool rig = camera->hasFeature("RigProgram");
   const auto prepare = [&](RigProgram program, const char* wish) -> Result<void> {
     if (rig) return camera->setFeature("RigProgram", static_cast<double>(program));
