@@ -1,0 +1,48 @@
+// A window of the app for tests, with settings of its own.
+#pragma once
+
+#include <QDir>
+#include <QLabel>
+#include <QTemporaryDir>
+#include <QTest>
+#include <QWidget>
+
+#include "ui/app/main_window.h"
+
+namespace lightsketch {
+
+class AppTest {
+ public:
+  AppTest() : workspace_(folder_.filePath("settings.ini")), window_(workspace_) {
+    window_.resize(1280, 720);
+    window_.show();
+    (void)QTest::qWaitForWindowExposed(&window_);
+  }
+
+  Workspace& workspace() { return workspace_; }
+  MainWindow& window() { return window_; }
+  std::filesystem::path path(const char* name) const { return toPath(folder_.filePath(name)); }
+  // A widget of the current page, by its objectName.
+  template <class Widget>
+  Widget* find(const char* name) {
+    return window_.currentPage()->findChild<Widget*>(name);
+  }
+  // What a message at the top says; empty: there is none.
+  QString banner(const QString& key) {
+    const auto* frame = window_.findChild<QWidget*>("banner/" + key);
+    const auto* label = frame ? frame->findChild<QLabel*>() : nullptr;
+    return label ? label->text() : QString();
+  }
+  void screenshot(const QString& name) {
+    QTest::qWait(100);
+    QDir().mkpath(LIGHTSKETCH_SCREENSHOTS);
+    window_.grab().save(QString(LIGHTSKETCH_SCREENSHOTS "/%1.png").arg(name));
+  }
+
+ private:
+  QTemporaryDir folder_;
+  Workspace workspace_;
+  MainWindow window_;
+};
+
+}  // namespace lightsketch

@@ -1,0 +1,81 @@
+// lightsketch-app [SKETCH|MODEL|FOLDER]
+#include <QCommandLineParser>
+#include <QSurfaceFormat>
+#include <QTimer>
+#include <cstdio>
+
+#include "ui/app/application.h"
+#include "ui/app/main_window.h"
+
+int main(int argc, char** argv) {
+  using namespace lightsketch;
+  // Frames are paced by what changes, not by the screen.
+  QSurfaceFormat format = QSurfaceFormat::defaultFormat();
+  format.setSwapInterval(0);
+  QSurfaceFormat::setDefaultFormat(format);
+  Application application(argc, argv);
+  QCoreApplication::setApplicationName("lightsketch-app");
+  QCoreApplication::setOrganizationName("lightsketch");
+  QCoreApplication::setApplicationVersion(LIGHTSKETCH_VERSION);
+
+  QCommandLineParser parser;
+  parser.setApplicationDescription(
+      "Wave a lamp around a scene, see the covered light directions fill up, and get a picture "
+      "that "
+      "can be lit by anything. Without cameras a simulated rig is used.");
+  parser.addHelpOption();
+  parser.addVersionOption();
+  parser.addPositionalArgument("file", "a sketch, a model (.lsd), or a folder with a .lp file",
+                               "[SKETCH|MODEL|FOLDER]");
+  const QCommandLineOption page(
+      "page", "Begin with this page: rig, calibrate, sketch, develop, relight, validate.", "NAME");
+  const QCommandLineOption begin("begin", "Press the page's main button at once.");
+  const QCommandLineOption seconds("for", "Quit after so many seconds.", "S");
+  const QCommandLineOption stats(
+      "stats",
+      "When it ends, print frame rates, latencies, dropped frames and how long the user "
+      "interface was blocked.");
+  const QCommandLineOption frames(
+      "rig-frames", "Simulated rig: serve so many frames rendered beforehand, in a loop.", "N",
+      "0");
+  const QCommandLineOption rate("rig-rate", "Simulated rig: frames a second.", "F", "12");
+  const QCommandLineOption addresses(
+      "rig-addresses", "Simulated rig: loopback addresses of scene and source camera.", "A,B");
+  parser.addOptions({page, begin, seconds, stats, frames, rate, addresses});
+  parser.process(application);
+
+  Workspace workspace;
+  RigSetup setup = workspace.rig().setup();
+  if (setup.simulated) {
+    setup.rig.prerenderedFrames = parser.value(frames).toInt();
+    setup.rig.framesPerSecond = parser.value(rate).toDouble();
+    setup.scene.framesPerSecond = setup.source.framesPerSecond = setup.rig.framesPerSecond;
+    if (const QStringList two = parser.value(addresses).split(','); two.size() == 2) {
+      setup.rig.sceneAddress = two[0].toStdString();
+      setup.rig.sourceAddress = two[1].toStdString();
+    }
+    workspace.rig().setSetup(setup);
+  }
+  application.watch(workspace.statistics());
+  int code = 0;
+  {
+    MainWindow window(workspace);
+    window.show();
+    if (!parser.positionalArguments().isEmpty() &&
+        !workspace.open(toPath(parser.positionalArguments().front()))) {
+      std::fprintf(stderr, "lightsketch-app: %s: cannot be opened\n",
+                   qPrintable(parser.positionalArguments().front()));
+    }
+    if (parser.isSet(page)) window.showPage(parser.value(page));
+    if (parser.isSet(begin)) {
+      QTimer::singleShot(0, &window, [&] { window.currentPage()->begin(); });
+    }
+    if (parser.isSet(seconds)) {
+      QTimer::singleShot(static_cast<int>(1000 * parser.value(seconds).toDouble()), &window,
+                         &QWidget::close);
+    }
+    code = application.exec();
+  }
+  if (parser.isSet(stats)) std::fputs(workspace.statistics().describe().c_str(), stdout);
+  return code;
+}

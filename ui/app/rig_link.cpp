@@ -1,0 +1,321 @@
+#include "ui/app/rig_link.h"
+
+#include <QStandardPaths>
+#include <QTimer>
+#include <condition_variable>
+#include <deque>
+#include <future>
+#include <mutex>
+#include <stdexcept>
+#include <thread>
+
+#include "calibration/model/camera_model.h"
+#include "calibration/model/rig_geometry.h"
+
+namespace lightsketch {
+namespace {
+
+// A page that is left for another often wants the cameras again a moment later.
+constexpr int kCloseAfterMilliseconds = 2000;
+
+QString describe(const CameraSettings& now) {
+  QStringList parts;
+  if (now.exposureSeconds) {
+    parts << RigLink::tr("exposure %1 ms").arg(1e3 * *now.exposureSeconds, 0, 'g', 4);
+  }
+  if (now.gainDb) parts << RigLink::tr("gain %1 dB").arg(*now.gainDb, 0, 'f', 1);
+  if (now.framesPerSecond) {
+    parts << RigLink::tr("%1 frames/s").arg(*now.framesPerSecond, 0, 'g', 4);
+  }
+  if (now.region) {
+    parts << RigLink::tr("%1 x %2 pixels").arg(now.region->width).arg(now.region->height);
+  }
+  return parts.join(RigLink::tr(", "));
+}
+
+void overlay(CameraSettings& onto, const CameraSettings& wish) {
+  if (wish.format) onto.format = wish.format;
+  if (wish.region) onto.region = wish.region;
+  if (wish.exposureSeconds) onto.exposureSeconds = wish.exposureSeconds;
+  if (wish.gainDb) onto.gainDb = wish.gainDb;
+  if (wish.framesPerSecond) onto.framesPerSecond = wish.framesPerSecond;
+}
+
+}  // namespace
+
+// The thread that touches cameras, in the order it is asked to. Its members are its thread's alone.
+class RigLink::Worker {
+ public:
+  explicit Worker(RigLink& link)
+      : link_(link), thread_([this](const std::stop_token& stop) { run(stop); }) {}
+  ~Worker() {
+    thread_.request_stop();
+    thread_.join();
+  }
+
+  void post(std::function<void()> work) {
+    {
+      const std::lock_guard lock(mutex_);
+      work_.push_back(std::move(work));
+    }
+    changed_.notify_one();
+  }
+
+  // On the worker's thread.
+  Result<void> ensureRig(const RigSetup& setup) {
+    if (!setup.simulated || rig_) return {};
+    ASSIGN_OR_RETURN(rig_, SimulatedRig::start(setup.rig));
+    const auto folder = calibrationFolder();
+    std::error_code error;
+    std::filesystem::create_directories(folder, error);
+    RETURN_IF_ERROR(saveCameraModel(*rig_->calibratedSourceModel(), folder / "source.json"));
+    return saveRigGeometry(rig_->geometry(), folder / "rig.json");
+  }
+  void dropRig() { rig_.reset(); }
+
+  Result<void> open(const RigSetup& setup) {
+    close();
+    RETURN_IF_ERROR(ensureRig(setup));
+    RETURN_IF_ERROR(openOne(link_.sceneAddress(setup), setup.scene, link_.sceneView_, scene_));
+    auto opened = openOne(link_.sourceAddress(setup), setup.source, link_.sourceView_, source_);
+    if (!opened) close();
+    return opened;
+  }
+  void close() {
+    for (auto* camera : {&scene_, &source_}) {
+      if (*camera) (*camera)->stop();
+      camera->reset();
+    }
+    publishStatistics();
+    link_.sceneView_.clear();
+    link_.sourceView_.clear();
+  }
+  Camera* scene() const { return scene_.get(); }
+  Camera* source() const { return source_.get(); }
+
+  std::pair<StreamStatistics, StreamStatistics> statistics() const {
+    const std::lock_guard lock(statisticsMutex_);
+    return statistics_;
+  }
+  void publishStatistics() {
+    const std::lock_guard lock(statisticsMutex_);
+    statistics_ = {scene_ ? scene_->statistics() : StreamStatistics{},
+                   source_ ? source_->statistics() : StreamStatistics{}};
+  }
+
+  static std::filesystem::path calibrationFolder() {
+    return std::filesystem::path(
+               QStandardPaths::writableLocation(QStandardPaths::AppDataLocation).toStdString()) /
+           "simulated-rig";
+  }
+
+ private:
+  Result<void> openOne(const std::string& address, const CameraSettings& settings, LiveView& view,
+                       std::unique_ptr<Camera>& into) {
+    ASSIGN_OR_RETURN(auto camera, openCamera(address));
+    RETURN_IF_ERROR(camera->configure(settings));
+    into = tapped(std::move(camera), view);
+    return into->start([](Frame&&) {},
+                       [link = &link_](const Error& error) {
+                         QMetaObject::invokeMethod(link, [link, text = error.message] {
+                           if (link->state_ == State::kLive) {
+                             link->apply(State::kFailed, QString::fromStdString(text));
+                           }
+                         });
+                       });
+  }
+
+  void run(const std::stop_token& stop) {
+    while (true) {
+      std::function<void()> next;
+      {
+        std::unique_lock lock(mutex_);
+        changed_.wait_for(lock, stop, std::chrono::milliseconds(250),
+                          [&] { return !work_.empty(); });
+        if (stop.stop_requested()) break;
+        if (!work_.empty()) {
+          next = std::move(work_.front());
+          work_.pop_front();
+        }
+      }
+      if (next) next();
+      publishStatistics();
+    }
+    close();
+    rig_.reset();
+  }
+
+  RigLink& link_;
+  std::unique_ptr<SimulatedRig> rig_;
+  std::unique_ptr<Camera> scene_;
+  std::unique_ptr<Camera> source_;
+  mutable std::mutex statisticsMutex_;  // Guards statistics_.
+  std::pair<StreamStatistics, StreamStatistics> statistics_;
+  std::mutex mutex_;  // Guards work_.
+  std::condition_variable_any changed_;
+  std::deque<std::function<void()>> work_;
+  std::jthread thread_;  // last: it uses all of the above
+};
+
+RigLink::RigLink(QObject* parent) : QObject(parent), worker_(std::make_unique<Worker>(*this)) {}
+
+RigLink::~RigLink() { worker_.reset(); }
+
+void RigLink::search() {
+  worker_->post([this] {
+    auto cameras = listCameras().value_or(std::vector<CameraInfo>());
+    QMetaObject::invokeMethod(this, [this, cameras = std::move(cameras)] {
+      cameras_ = cameras;
+      Q_EMIT found();
+    });
+  });
+}
+
+void RigLink::setSetup(const RigSetup& setup) {
+  setup_ = setup;
+  Q_EMIT setupChanged();
+  worker_->post([this] {
+    worker_->close();
+    worker_->dropRig();
+  });
+  if (state_ == State::kLent) return;
+  apply(State::kClosed, {});
+  if (watchers_ > 0) reopen();
+}
+
+void RigLink::watch(bool on) {
+  watchers_ += on ? 1 : -1;
+  if (on && state_ == State::kClosed) reopen();
+  if (on || watchers_ > 0) return;
+  QTimer::singleShot(kCloseAfterMilliseconds, this, [this] {
+    if (watchers_ > 0 || state_ == State::kLent) return;
+    worker_->post([this] { worker_->close(); });
+    apply(State::kClosed, {});
+  });
+}
+
+void RigLink::reopen() {
+  if (state_ == State::kLent || state_ == State::kOpening) return;
+  apply(State::kOpening, {});
+  worker_->post([this, setup = setup_] {
+    const auto opened = worker_->open(setup);
+    QMetaObject::invokeMethod(this, [this, opened] {
+      if (state_ != State::kOpening) return;
+      if (opened) {
+        apply(State::kLive, {});
+      } else {
+        apply(State::kFailed, QString::fromStdString(opened.error().message));
+      }
+    });
+  });
+}
+
+void RigLink::configure(CameraSettings& remembered, const CameraSettings& settings,
+                        Camera* (Worker::*which)() const, const QString& name) {
+  overlay(remembered, settings);
+  Q_EMIT setupChanged();
+  worker_->post([this, settings, which, name] {
+    Camera* camera = (worker_.get()->*which)();
+    if (!camera) return;
+    const auto now = camera->configure(settings);
+    const QString answer = now ? describe(*now) : QString::fromStdString(now.error().message);
+    QMetaObject::invokeMethod(
+        this, [this, name, answer, ok = now.has_value()] { Q_EMIT configured(name, answer, ok); });
+  });
+}
+
+void RigLink::configureScene(const CameraSettings& settings) {
+  configure(setup_.scene, settings, &Worker::scene, tr("scene camera"));
+}
+void RigLink::configureSource(const CameraSettings& settings) {
+  configure(setup_.source, settings, &Worker::source, tr("source camera"));
+}
+
+StreamStatistics RigLink::sceneStatistics() const { return worker_->statistics().first; }
+StreamStatistics RigLink::sourceStatistics() const { return worker_->statistics().second; }
+
+void RigLink::lend() {
+  if (state_ == State::kLent) throw std::logic_error("RigLink::lend: lent already");
+  apply(State::kLent, {});
+  worker_->post([this] { worker_->close(); });
+}
+
+void RigLink::giveBack() {
+  if (state_ != State::kLent) throw std::logic_error("RigLink::giveBack: not lent");
+  sceneView_.clear();
+  sourceView_.clear();
+  apply(State::kClosed, {});
+  if (watchers_ > 0) reopen();
+}
+
+CameraOpener RigLink::opener() {
+  const RigSetup setup = setup_;
+  return [this, setup](const std::string& address) -> Result<std::unique_ptr<Camera>> {
+    // Whatever was asked of the worker before, closing the preview above all, is done once this is.
+    auto ready = std::make_shared<std::promise<Result<void>>>();
+    auto rig = ready->get_future();
+    worker_->post([this, setup, ready] { ready->set_value(worker_->ensureRig(setup)); });
+    RETURN_IF_ERROR(rig.get());
+    ASSIGN_OR_RETURN(auto camera, openCamera(address));
+    if (address == sceneAddress(setup)) return tapped(std::move(camera), sceneView_);
+    if (address == sourceAddress(setup)) return tapped(std::move(camera), sourceView_);
+    return camera;
+  };
+}
+
+std::string RigLink::sceneAddress(const RigSetup& setup) {
+  return setup.simulated ? "aravis:" + setup.rig.sceneAddress : setup.sceneCamera;
+}
+std::string RigLink::sourceAddress(const RigSetup& setup) {
+  return setup.simulated ? "aravis:" + setup.rig.sourceAddress : setup.sourceCamera;
+}
+
+std::filesystem::path RigLink::sourceModel() const {
+  return setup_.simulated && setup_.sourceModel.empty()
+             ? Worker::calibrationFolder() / "source.json"
+             : setup_.sourceModel;
+}
+std::filesystem::path RigLink::rigGeometry() const {
+  return setup_.simulated && setup_.rigGeometry.empty() ? Worker::calibrationFolder() / "rig.json"
+                                                        : setup_.rigGeometry;
+}
+
+RecordJob RigLink::recordJob() {
+  RecordJob job;
+  job.open = opener();
+  job.sceneCamera = sceneAddress(setup_);
+  job.sourceCameras = {sourceAddress(setup_)};
+  job.cameraModels = {sourceModel()};
+  job.rigGeometry = rigGeometry();
+  job.sceneResponse = setup_.sceneResponse;
+  RecorderOptions& options = job.recorder;
+  options.sceneFormat = setup_.scene.format.value_or(options.sceneFormat);
+  options.sceneExposureSeconds =
+      setup_.scene.exposureSeconds.value_or(options.sceneExposureSeconds);
+  options.sceneGainDb = setup_.scene.gainDb.value_or(0);
+  options.sourceExposureSeconds =
+      setup_.source.exposureSeconds.value_or(options.sourceExposureSeconds);
+  options.sourceGainDb = setup_.source.gainDb.value_or(0);
+  options.framesPerSecond = setup_.scene.framesPerSecond.value_or(options.framesPerSecond);
+  if (setup_.simulated) options.sceneBlackLevel = sceneBlackLevelCounts(options.sceneFormat);
+  return job;
+}
+
+void RigLink::showProgram(RigProgram program) {
+  if (!setup_.simulated) return;
+  worker_->post([this, program] {
+    if (Camera* scene = worker_->scene(); scene && scene->hasFeature("RigProgram")) {
+      // A rig that plays frames rendered beforehand refuses; its program stays.
+      (void)scene->setFeature("RigProgram", static_cast<double>(program));
+    }
+  });
+}
+
+void RigLink::apply(State state, const QString& trouble) {
+  if (state_ == state && trouble_ == trouble) return;
+  state_ = state;
+  trouble_ = trouble;
+  Q_EMIT stateChanged();
+}
+
+}  // namespace lightsketch

@@ -1,0 +1,108 @@
+// The cameras: which they are, their live pictures, and lending them to jobs.
+#pragma once
+
+#include <QObject>
+#include <QString>
+#include <QStringList>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <vector>
+
+#include "capture/device/camera.h"
+#include "capture/rig/simulated_rig.h"
+#include "pipeline/job/calibrate_jobs.h"
+#include "pipeline/job/jobs.h"
+#include "ui/app/live_view.h"
+
+namespace lightsketch {
+
+// What stands on the table. Remembered from one start to the next.
+struct RigSetup {
+  bool simulated = true;    // the rig of this program, started by it
+  SimulatedRigOptions rig;  // in that case
+  std::string sceneCamera;  // addresses, else
+  std::string sourceCamera;
+  std::filesystem::path sourceModel;    // of the source camera's lens; empty: not calibrated
+  std::filesystem::path rigGeometry;    // empty: source camera upright at the subject
+  std::filesystem::path sceneResponse;  // empty: a linear sensor
+  CameraSettings scene{PixelFormat::kBayerRG12, {}, 0.02, 0.0, 12.0};  // as RecorderOptions has it
+  CameraSettings source{{}, {}, 0.001, 0.0, 12.0};
+};
+
+// Lives on the UI thread; opening, configuring and closing happen on a thread of its own, so that a
+// camera that hangs blocks nobody.
+class RigLink final : public QObject {
+  Q_OBJECT
+ public:
+  enum class State { kClosed, kOpening, kLive, kLent, kFailed };
+
+  explicit RigLink(QObject* parent = nullptr);
+  ~RigLink() override;
+
+  // Cameras found, asynchronously; found() tells.
+  void search();
+  const std::vector<CameraInfo>& cameras() const { return cameras_; }
+
+  const RigSetup& setup() const { return setup_; }
+  // Closes what is open and opens the new one (if somebody looks, see watch()).
+  void setSetup(const RigSetup& setup);
+
+  // How many pages want live pictures; with none the cameras are closed a moment later.
+  void watch(bool on);
+  // A closed or failed link is tried again.
+  void reopen();
+  // Exposure, gain and rate of a running camera; the answer comes as configured(). Also remembered
+  // in setup().
+  void configureScene(const CameraSettings& settings);
+  void configureSource(const CameraSettings& settings);
+
+  State state() const { return state_; }
+  const QString& trouble() const { return trouble_; }  // of kFailed
+  LiveView& sceneView() { return sceneView_; }
+  LiveView& sourceView() { return sourceView_; }
+  StreamStatistics sceneStatistics() const;
+  StreamStatistics sourceStatistics() const;
+
+  // For jobs, which open the cameras themselves: call lend() on the UI thread, give the job
+  // opener() and call giveBack() when it has ended. The preview is closed before the job's first
+  // camera opens; the live views show the job's frames. Nested lending is a logic error.
+  void lend();
+  void giveBack();
+  CameraOpener opener();
+  // A recording with the addresses, models, settings and the opener of this rig filled in.
+  RecordJob recordJob();
+  std::string sceneAddress() const { return sceneAddress(setup_); }
+  std::string sourceAddress() const { return sourceAddress(setup_); }
+  // Of the source camera's lens; a simulated rig brings its own. Empty: none.
+  std::filesystem::path sourceModel() const;
+  std::filesystem::path rigGeometry() const;
+  // What the simulated rig shows from now on; nothing happens with real cameras.
+  void showProgram(RigProgram program);
+
+ Q_SIGNALS:
+  void found();
+  void stateChanged();
+  void setupChanged();
+  // What the camera really uses now, or why it does not.
+  void configured(const QString& camera, const QString& answer, bool ok);
+
+ private:
+  class Worker;
+  static std::string sceneAddress(const RigSetup& setup);
+  static std::string sourceAddress(const RigSetup& setup);
+  void configure(CameraSettings& remembered, const CameraSettings& settings,
+                 Camera* (Worker::*which)() const, const QString& name);
+  void apply(State state, const QString& trouble);
+
+  RigSetup setup_;
+  std::vector<CameraInfo> cameras_;
+  State state_ = State::kClosed;
+  QString trouble_;
+  int watchers_ = 0;
+  LiveView sceneView_;
+  LiveView sourceView_;
+  std::unique_ptr<Worker> worker_;
+};
+
+}  // namespace lightsketch
