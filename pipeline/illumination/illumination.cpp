@@ -6,6 +6,7 @@
 #include <numbers>
 
 #include "capture/frame/json.h"
+#include "pipeline/illumination/lat_long.h"
 
 namespace lightsketch {
 namespace {
@@ -13,15 +14,6 @@ namespace {
 using Eigen::Vector3d;
 using Eigen::Vector3f;
 using std::numbers::pi;
-
-// OpenEXR's lat-long (ImfEnvmap.h): latitude from +pi/2 (top) to -pi/2, longitude from +pi (left
-// edge) to -pi, 0 at +z and pi/2 at +x.
-Vector3d directionAt(double u, double v) {
-  const double longitude = pi * (1 - 2 * u);
-  const double latitude = pi * (0.5 - v);
-  return {std::cos(latitude) * std::sin(longitude), std::sin(latitude),
-          std::cos(latitude) * std::cos(longitude)};
-}
 
 Vector3f texel(const RadianceImage& image, int x, int y) {
   return {image(x, y, 0), image(x, y, 1), image(x, y, 2)};
@@ -83,9 +75,7 @@ Vector3f environmentRadiance(const RadianceImage& latLong, const Vector3d& direc
          fy * ((1 - fx) * texel(latLong, x0, y1) + fx * texel(latLong, x1, y1));
 }
 
-Result<LightIntensities> intensitiesOf(const RadianceImage& latLong,
-                                       std::span<const Vector3d> lights,
-                                       const EnvironmentOptions& options) {
+Result<void> checkEnvironment(const RadianceImage& latLong, const EnvironmentOptions& options) {
   if (latLong.channels() != 3 || latLong.width() < 2 || latLong.width() != 2 * latLong.height()) {
     return failure(ErrorCode::kInvalidArgument,
                    "an environment map must be lat-long, twice as wide as high; this one is {}x{}",
@@ -104,6 +94,13 @@ Result<LightIntensities> intensitiesOf(const RadianceImage& latLong,
     return failure(ErrorCode::kInvalidArgument, "the lamp's irradiance must be positive, not {}",
                    options.lampIrradiance);
   }
+  return {};
+}
+
+Result<LightIntensities> intensitiesOf(const RadianceImage& latLong,
+                                       std::span<const Vector3d> lights,
+                                       const EnvironmentOptions& options) {
+  RETURN_IF_ERROR(checkEnvironment(latLong, options));
   ASSIGN_OR_RETURN(const auto cells, LightCells::create(lights, options.cells));
 
   // Each texel is cut into samples x samples parts, which go to the light whose cell they lie in.
@@ -115,11 +112,11 @@ Result<LightIntensities> intensitiesOf(const RadianceImage& latLong,
   Eigen::Matrix<double, Eigen::Dynamic, 4> sums =
       Eigen::Matrix<double, Eigen::Dynamic, 4>::Zero(static_cast<Eigen::Index>(lights.size()), 4);
   for (int y = 0; y < rows; ++y) {
-    const double area = 2 * pi / columns *
-                        (std::sin(pi * (0.5 - static_cast<double>(y) / rows)) -
-                         std::sin(pi * (0.5 - static_cast<double>(y + 1) / rows)));
+    const double area =
+        latLongBandArea(static_cast<double>(y) / rows, static_cast<double>(y + 1) / rows) / columns;
     for (int x = 0; x < columns; ++x) {
-      const Vector3d direction = worldFromMap * directionAt((x + 0.5) / columns, (y + 0.5) / rows);
+      const Vector3d direction =
+          worldFromMap * latLongDirection((x + 0.5) / columns, (y + 0.5) / rows);
       const int cell = cells.cellOf(direction);
       if (cell < 0) continue;
       const Vector3f radiance = texel(latLong, x / samples, y / samples);

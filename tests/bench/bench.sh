@@ -23,6 +23,7 @@ usage() {
 ./run bench engine      compressing, drawing, loading against this machine's limits, and growth (lightsketch bench)
 ./run bench compress    the paper's job on a set with shadows and highlights; [quick]
 ./run bench quality     quality per byte: the paper, PCA, PTM, HSH, SH and our own sizes; [--quick] [--plot FILE.svg]
+./run bench light       light that changes every frame: a turned environment, a room camera, sized lamps
 ./run bench bad_frames  faults put into good sets: how many are found, and how many others
 TEXT
 }
@@ -135,6 +136,7 @@ case "${1:-}" in
     ;;
   lens | boards | radiometry | response | chain | compress | quality | bad_frames) bench_program "$@" ;;
   ball) bench_program mirror_ball ;;
+  light) bench_program illumination ;;
   engine) shift && exec "$program" bench "$@" ;;
   '') usage ;;
   *)
