@@ -1,6 +1,7 @@
 // A window of the app for tests, with settings of its own.
 #pragma once
 
+#include <QApplication>
 #include <QDir>
 #include <QLabel>
 #include <QTemporaryDir>
@@ -17,6 +18,7 @@ class AppTest {
     window_.resize(1280, 720);
     window_.show();
     (void)QTest::qWaitForWindowExposed(&window_);
+    QApplication::setActiveWindow(&window_);  // no window manager does it
   }
 
   Workspace& workspace() { return workspace_; }
