@@ -17,6 +17,12 @@ void FrameView::setOverlay(Overlay overlay) {
   update();
 }
 
+void FrameView::setFlipped(bool leftRight, bool upsideDown) {
+  leftRight_ = leftRight;
+  upsideDown_ = upsideDown;
+  update();
+}
+
 void FrameView::setPlaceholder(const QString& text) {
   placeholder_ = text;
   update();
@@ -31,9 +37,11 @@ QRectF FrameView::pictureRectangle() const {
 QTransform FrameView::widgetFromFrame() const {
   const QRectF at = pictureRectangle();
   if (!at.isValid()) return {};
-  return QTransform::fromScale(at.width() / picture_->frameSize.width(),
-                               at.height() / picture_->frameSize.height()) *
-         QTransform::fromTranslate(at.x(), at.y());
+  return QTransform::fromScale((leftRight_ ? -1 : 1) * at.width() / picture_->frameSize.width(),
+                               (upsideDown_ ? -1 : 1) * at.height() /
+                                   picture_->frameSize.height()) *
+         QTransform::fromTranslate(leftRight_ ? at.right() : at.x(),
+                                   upsideDown_ ? at.bottom() : at.y());
 }
 
 void FrameView::paintEvent(QPaintEvent*) {
@@ -47,7 +55,9 @@ void FrameView::paintEvent(QPaintEvent*) {
     painter.drawText(rect(), Qt::AlignCenter | Qt::TextWordWrap, placeholder_);
     return;
   }
-  painter.drawImage(pictureRectangle(), picture_->image);
+  painter.drawImage(pictureRectangle(), leftRight_ || upsideDown_
+                                            ? picture_->image.mirrored(leftRight_, upsideDown_)
+                                            : picture_->image);
   if (overlay_) {
     painter.setRenderHint(QPainter::Antialiasing);
     overlay_(painter, widgetFromFrame());

@@ -22,6 +22,9 @@ class FrameView : public QWidget {
   ~FrameView() override;
 
   void setOverlay(Overlay overlay);
+  // Mirrors the picture, not what is drawn over it: a camera that looks at the person shows them as
+  // a looking glass does.
+  void setFlipped(bool leftRight, bool upsideDown);
   // Said where there is no picture: "no camera".
   void setPlaceholder(const QString& text);
   LiveView& view() const { return view_; }
@@ -48,6 +51,8 @@ class FrameView : public QWidget {
   LiveView& view_;
   Overlay overlay_;
   QString placeholder_;
+  bool leftRight_ = false;
+  bool upsideDown_ = false;
   std::shared_ptr<const ViewPicture> picture_;
 };
 

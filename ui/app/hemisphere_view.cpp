@@ -252,6 +252,7 @@ void HemisphereView::paintEvent(QPaintEvent*) {
     painter.setBrush(Qt::NoBrush);
     painter.drawPath(outline);
   }
+  Q_EMIT drawn();
 }
 
 void HemisphereView::resizeEvent(QResizeEvent*) { ground_ = {}; }

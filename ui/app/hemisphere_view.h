@@ -64,6 +64,8 @@ class HemisphereView : public QWidget {
   void handleMoved(int index, const Eigen::Vector3d& direction);
   // Radians.
   void regionSelected(const Eigen::Vector3d& centre, double angularRadius);
+  // What was set before is on the screen when the event loop has gone round.
+  void drawn();
 
  protected:
   void paintEvent(QPaintEvent* event) override;
