@@ -9,6 +9,8 @@
 #include <optional>
 #include <utility>
 
+#include "capture/frame/time.h"
+
 namespace lightsketch {
 
 // Thread-safe. Full: what comes is refused and counted.
@@ -30,14 +32,30 @@ class BoundedQueue {
     ready_.notify_one();
     return true;
   }
+  // For what must not be refused.
+  void pushAnyway(T&& item) {
+    {
+      const std::lock_guard lock(mutex_);
+      if (closed_) return;
+      items_.push_back(std::move(item));
+    }
+    ready_.notify_one();
+  }
   // Waits. Nothing once the queue is closed and empty.
   std::optional<T> pop() {
     std::unique_lock lock(mutex_);
     ready_.wait(lock, [&] { return closed_ || !items_.empty(); });
-    if (items_.empty()) return std::nullopt;
-    T item = std::move(items_.front());
-    items_.pop_front();
-    return item;
+    return take();
+  }
+  // The same, but also nothing when none has come for so long.
+  std::optional<T> popWithin(Duration patience) {
+    std::unique_lock lock(mutex_);
+    ready_.wait_for(lock, patience, [&] { return closed_ || !items_.empty(); });
+    return take();
+  }
+  bool over() const {
+    const std::lock_guard lock(mutex_);
+    return closed_ && items_.empty();
   }
   // What is in it is still handed out, unless `discard`.
   void close(bool discard = false) {
@@ -54,6 +72,13 @@ class BoundedQueue {
   }
 
  private:
+  std::optional<T> take() {
+    if (items_.empty()) return std::nullopt;
+    T item = std::move(items_.front());
+    items_.pop_front();
+    return item;
+  }
+
   const std::size_t capacity_;
   mutable std::mutex mutex_;  // Guards everything below.
   std::condition_variable ready_;

@@ -50,10 +50,11 @@ void ObservationHistory::end() {
   changed_.notify_all();
 }
 
-void ObservationHistory::waitFor(TimePoint time, Duration patience) const {
+bool ObservationHistory::waitFor(TimePoint time, Duration patience) const {
   std::unique_lock lock(mutex_);
-  changed_.wait_for(lock, patience,
-                    [&] { return ended_ || (!entries_.empty() && entries_.back().time >= time); });
+  return changed_.wait_for(lock, patience, [&] {
+    return ended_ || (!entries_.empty() && entries_.back().time >= time);
+  });
 }
 
 tl::expected<PairedLamp, PairingFailure> ObservationHistory::at(TimePoint time,

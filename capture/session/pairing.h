@@ -35,9 +35,9 @@ class ObservationHistory {
   void add(TimePoint time, TrackResult result);
   // No more will come.
   void end();
-  // Waits until a source frame at or after `time` was tracked, the history has ended, or
-  // `patience` is over.
-  void waitFor(TimePoint time, Duration patience) const;
+  // Waits until a source frame at or after `time` was tracked or the history has ended; false if
+  // `patience` was over before.
+  bool waitFor(TimePoint time, Duration patience) const;
   tl::expected<PairedLamp, PairingFailure> at(TimePoint time, Duration timeUncertainty,
                                               double maxSeconds) const;
   // The two latest frames, if the lamp was seen in both: newest last.

@@ -32,21 +32,37 @@ struct RecorderControl::State {
   std::mutex mutex;  // Guards paused and wishes.
   bool paused = false;
   std::deque<Wish> wishes;
+
+  // What a recording that goes on with other cameras takes over; only record() touches it.
+  struct Done {
+    std::vector<int> ids;
+    bool dropped;  // else kept
+  };
+  std::vector<Done> history;          // the latest last
+  std::optional<int> firstId;         // of the recording's frames
+  std::optional<TimePoint> timeZero;  // of its midExposureSeconds
+  bool learnt = false;                // the ambient light and the lights of the room
+  RadianceImage ambient;
+  std::vector<LampTracker> trackers;
 };
 
 namespace {
 
 constexpr std::size_t kFrameQueue = 16;  // more than a second at the usual rates
 constexpr std::size_t kWriteQueue = 8;
+constexpr std::chrono::milliseconds kTick{100};          // between reports when no frame comes
+constexpr std::chrono::milliseconds kBetweenLooks{500};  // at the links
 constexpr double kSilenceSeconds = 5;     // a camera that sends nothing for so long is lost
 constexpr double kPatienceSeconds = 0.2;  // for a late source frame, beyond the pairing limit
 constexpr double kSettleSeconds = 0.7;    // from the wish for darkness to darkness, with a guide
 constexpr double kDarkestSlack = 0.07;  // relative brightness at which frames count as equally dark
 constexpr double kDarkestNoise = 5e-4;  // the same of full scale, for a dark room
 constexpr double kAmbientGivesUpSeconds = 15;
-constexpr double kAlignedSeconds = 0.003;  // a lamp at 28 degrees a second moves 0.08 meanwhile
-constexpr int kAlignments = 7;             // measurements, one more than starts
-constexpr double kAlignPatienceSeconds = kSilenceSeconds;            // for the first frames
+// A source frame up to so much later than the scene frame is exposed together with it; earlier, the
+// next one would have to be waited for. A lamp at 28 degrees a second moves 0.08 meanwhile.
+constexpr double kAlignedSeconds = 0.003;
+constexpr int kAlignments = 7;                             // measurements, one more than starts
+constexpr double kAlignPatienceSeconds = kSilenceSeconds;  // for the first frames
 constexpr std::array<double, 4> kRoomExposures{1.0 / 16, 1, 8, 64};  // of the source exposure
 constexpr double kOutOfStepSeconds = 0.01;                           // worth a word
 
@@ -89,9 +105,10 @@ class AmbientMean {
 
 // Something for the thread that owns the sketch to write.
 struct WriteJob {
-  std::optional<FrameRecord> record;  // none: the ambient light
+  std::optional<FrameRecord> record;  // none: the ambient light, or a wish
   RadianceImage radiance;
   std::optional<Frame> raw;
+  std::optional<RecorderControl::State::Wish> wish;
 };
 
 // The counts as they came, a mosaic as grey; two bytes a sample where the format has them.
@@ -109,6 +126,12 @@ Result<void> writeRaw(const Frame& frame, const std::filesystem::path& path) {
     }
   }
   return writePng(path, counts);
+}
+
+// One sigma of a direction along its worst axis.
+Angle worstSigma(const Eigen::Matrix3d& covariance) {
+  const double worst = Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance).eigenvalues()[2];
+  return Angle::radians(std::sqrt(std::max(worst, 0.0)));
 }
 
 // Stops the camera on every way out.
@@ -205,13 +228,14 @@ class Recording {
  public:
   Recording(Camera& sceneCamera, std::span<const SourceCamera> sources, const RigGeometry& rig,
             const RecorderOptions& options, Progress& progress,
-            std::function<void(const RecorderState&)> onState, Sketch sketch, Coverage coverage,
-            const CameraSettings& sceneSettings)
+            std::function<void(const RecorderState&)> onState, RecorderControl::State& control,
+            Sketch sketch, Coverage coverage, const CameraSettings& sceneSettings)
       : sceneCamera_(sceneCamera),
         rig_(rig),
         options_(options),
         progress_(progress),
         onState_(std::move(onState)),
+        control_(control),
         sketch_(std::move(sketch)),
         coverage_(std::move(coverage)),
         plan_(!options.bracket.empty()),
@@ -237,9 +261,18 @@ class Recording {
                                 sketch_.frames()[static_cast<std::size_t>(id)].midExposureSeconds);
       ++summary_.resumedFrom;
     }
-    ambientPhase_ = options.ambientSeconds > 0;
     exposing_ = options.sceneExposureSeconds;
-    durable_ = coverage_.capturedCount();
+    onDisk_.resize(static_cast<std::size_t>(coverage_.grid().size()));
+    for (const int id : sketch_.activeFrames()) countOnDisk(id, 1);
+    if (!control_.firstId) control_.firstId = static_cast<int>(sketch_.frames().size());
+    ambientPhase_ = options.ambientSeconds > 0 && !control_.learnt;
+    if (control_.trackers.size() == sources_.size()) {
+      for (std::size_t i = 0; i < sources_.size(); ++i) {
+        sources_[i]->tracker = std::move(control_.trackers[i]);
+      }
+    }
+    control_.trackers.clear();
+    state_.grid = std::make_shared<std::vector<Vector3d>>(coverage_.grid().directions());
   }
 
   // Takes reference exposure and ambient light over from a sketch that is gone on with.
@@ -260,6 +293,7 @@ class Recording {
       }
       if (ambient) ambient_ = std::move(*ambient);
     }
+    if (control_.learnt) ambient_ = control_.ambient;
     return {};
   }
 
@@ -317,13 +351,22 @@ class Recording {
   void writeSketch();
 
   Result<void> takeAmbient(const Frame& frame);
+  void waitForSource(SourceStream& source, const FrameMetadata& scene);
   tl::expected<Lit, Refusal> lightOn(const Frame& frame);
   Result<Refusal> judge(const Frame& frame);
   Result<bool> goOnWithBracket(const Frame& frame, const Lit& lit);
   Result<void> endBracket();
   Result<void> expose(double seconds);
   void guideOn(double seconds);
+  void tick();
   void report();
+  void lookAtLinks();
+  std::uint64_t dropped() const;
+  void passWishesOn();
+  void followTheSketch();
+  Result<void> fulfil(const RecorderControl::State::Wish& wish);
+  Result<void> dropOrRestore(std::span<const int> ids, bool drop, const std::string& reason);
+  void countOnDisk(int id, int change);
   RecorderSummary summarise();
 
   Camera& sceneCamera_;
@@ -332,9 +375,11 @@ class Recording {
   const RecorderOptions& options_;
   Progress& progress_;
   const std::function<void(const RecorderState&)> onState_;
+  RecorderControl::State& control_;
 
   // The writer's while threads run.
   Sketch sketch_;
+  std::vector<int> onDisk_;  // frames per cell
   // The judge's while threads run.
   Coverage coverage_;
   GuidePlan plan_;
@@ -344,6 +389,7 @@ class Recording {
   bool haveAmbientFile_ = false;
   std::optional<TimePoint> firstFrame_;
   RecorderState state_;
+  std::optional<Vector3d> judgedDirection_;  // of the frame that is being judged
   RecorderSummary summary_;
   int width_ = 0;
   int height_ = 0;
@@ -365,11 +411,15 @@ class Recording {
   BoundedQueue<Frame> sceneQueue_{kFrameQueue};
   BoundedQueue<WriteJob> writeQueue_{kWriteQueue};
 
-  std::mutex mutex_;  // Guards ended_, drain_, error_.
+  std::mutex mutex_;  // Guards everything below but guide_.
   std::condition_variable changed_;
   std::string ended_;
   bool drain_ = false;
   std::optional<Error> error_;
+  // What became of frames that were written before: their light, and whether they were dropped.
+  std::vector<std::pair<Vector3d, bool>> changes_;
+  StreamStatistics sceneLink_;
+  std::vector<StreamStatistics> sourceLinks_;
 
   GuideWriter guide_;
 };
@@ -396,8 +446,57 @@ void Recording::trackSource(SourceStream& source) {
   source.history.end();
 }
 
+void Recording::countOnDisk(int id, int change) {
+  if (options_.posesUnknown) return;
+  const FrameRecord& frame = sketch_.frames()[static_cast<std::size_t>(id)];
+  const auto cell = coverage_.cellOf(frame.light.direction);
+  if (!cell) return;
+  int& frames = onDisk_[static_cast<std::size_t>(*cell)];
+  const bool before = frames > 0;
+  frames += change;
+  durable_ += (frames > 0) - before;
+}
+
+Result<void> Recording::dropOrRestore(std::span<const int> ids, bool drop,
+                                      const std::string& reason) {
+  int own = 0;
+  std::vector<std::pair<Vector3d, bool>> changes;
+  for (const int id : ids) {
+    RETURN_IF_ERROR(drop ? sketch_.drop(id, reason) : sketch_.restore(id));
+    countOnDisk(id, drop ? -1 : 1);
+    own += id >= *control_.firstId;
+    changes.emplace_back(sketch_.frames()[static_cast<std::size_t>(id)].light.direction, drop);
+  }
+  written_ += drop ? -own : own;
+  const std::lock_guard lock(mutex_);
+  changes_.insert(changes_.end(), changes.begin(), changes.end());
+  return {};
+}
+
+Result<void> Recording::fulfil(const RecorderControl::State::Wish& wish) {
+  if (!wish.region) {
+    if (control_.history.empty()) return {};
+    const auto last = std::move(control_.history.back());
+    control_.history.pop_back();
+    return dropOrRestore(last.ids, !last.dropped, "taken back");
+  }
+  const auto& [centre, radius] = *wish.region;
+  std::vector<int> ids = sketch_.activeFrames();
+  std::erase_if(ids, [&, &centre = centre, &radius = radius](int id) {
+    const Vector3d& d = sketch_.frames()[static_cast<std::size_t>(id)].light.direction;
+    return std::atan2(d.cross(centre).norm(), d.dot(centre)) > radius.radians();
+  });
+  RETURN_IF_ERROR(dropOrRestore(ids, true, wish.reason));
+  if (!ids.empty()) control_.history.push_back({std::move(ids), true});
+  return {};
+}
+
 void Recording::writeSketch() {
   while (auto job = writeQueue_.pop()) {
+    if (job->wish) {
+      if (auto status = fulfil(*job->wish); !status) return fail(status.error());
+      continue;
+    }
     if (!job->record) {
       if (auto status = sketch_.writeAmbient(job->radiance); !status) return fail(status.error());
       continue;
@@ -411,30 +510,75 @@ void Recording::writeSketch() {
     auto id = sketch_.append(std::move(*job->record), job->radiance);
     if (!id) return fail(id.error());
     ++written_;
-    if (!options_.posesUnknown) ++durable_;
+    countOnDisk(*id, 1);
+    control_.history.push_back({{*id}, false});
   }
 }
 
+// What the person wanted goes the way of the frames that were kept before.
+void Recording::passWishesOn() {
+  std::deque<RecorderControl::State::Wish> wishes;
+  {
+    const std::lock_guard lock(control_.mutex);
+    state_.paused = control_.paused;
+    wishes.swap(control_.wishes);
+  }
+  for (auto& wish : wishes) writeQueue_.pushAnyway({{}, {}, {}, std::move(wish)});
+}
+
+void Recording::followTheSketch() {
+  std::vector<std::pair<Vector3d, bool>> changes;
+  {
+    const std::lock_guard lock(mutex_);
+    changes.swap(changes_);
+  }
+  for (const auto& [direction, dropped] : changes) {
+    dropped ? coverage_.remove(direction) : coverage_.add(direction);
+  }
+}
+
+// Between frames, and every 100 ms where none comes.
+void Recording::tick() {
+  passWishesOn();
+  followTheSketch();
+  state_.judged.reset();
+}
+
 void Recording::judgeScene() {
-  while (auto frame = sceneQueue_.pop()) {
-    if (aligning_) continue;
-    if (!firstFrame_) firstFrame_ = frame->metadata.midExposure;
+  while (true) {
+    const auto frame = sceneQueue_.popWithin(kTick);
+    if (!frame && sceneQueue_.over()) break;
+    tick();
+    if (!frame || aligning_) {
+      report();
+      continue;
+    }
+    const TimePoint time = frame->metadata.midExposure;
+    if (!firstFrame_) {
+      firstFrame_ = time;
+      if (!control_.timeZero) control_.timeZero = time - fromSeconds(secondsBefore_);
+    }
     if (width_ != 0 && (frame->width != width_ || frame->height != height_)) {
       return fail({ErrorCode::kDevice,
                    fmt::format("scene frame {}: {} x {} pixels, expected {} x {}",
                                frame->metadata.id, frame->width, frame->height, width_, height_)});
     }
     if (ambientPhase_) {
-      if (auto status = takeAmbient(*frame); !status) return fail(status.error());
+      if (auto status = state_.paused ? Result<void>() : takeAmbient(*frame); !status) {
+        return fail(status.error());
+      }
       report();
       continue;
     }
-    const auto refusal = judge(*frame);
-    if (!refusal) return fail(refusal.error());
-    ++summary_.offered;
-    if (*refusal != Refusal::kNone) ++summary_.refusals[*refusal];
-    state_.lastRefusal = *refusal;
-    guideOn(toSeconds(frame->metadata.midExposure - *firstFrame_));
+    if (!state_.paused) {
+      const auto refusal = judge(*frame);
+      if (!refusal) return fail(refusal.error());
+      ++summary_.offered;
+      if (*refusal != Refusal::kNone) ++summary_.refusals[*refusal];
+      state_.lastRefusal = *refusal;
+      state_.judged = {*refusal, judgedDirection_, frame->metadata.arrival, Clock::now()};
+    }
+    guideOn(toSeconds(time - *firstFrame_));
     report();
     if (coverage_.capturedCount() >= wanted_) {
       end("coverage goal reached", false);
@@ -463,12 +607,27 @@ Result<void> Recording::takeAmbient(const Frame& frame) {
   }
   if (sketch_.manifest().ambientSubtracted) ambient_ = ambientMean_.mean();
   // One that is there already belongs to the frames of before.
-  if (!haveAmbientFile_) writeQueue_.push({std::nullopt, ambientMean_.mean(), std::nullopt});
+  if (!haveAmbientFile_) writeQueue_.pushAnyway({{}, ambientMean_.mean(), {}, {}});
   ambientMean_ = {};
+  control_.ambient = ambient_;
+  control_.learnt = true;
   state_.lampWantedOff = false;
   ambientPhase_ = false;
   guideOn(seconds);
   return {};
+}
+
+// Until the source frame after the scene frame is tracked. It is on its way when the scene frame is
+// here, so that a camera that has fallen silent costs each frame its patience only once.
+void Recording::waitForSource(SourceStream& source, const FrameMetadata& scene) {
+  const TimePoint from = sceneCamera_.isLive() ? scene.arrival : Clock::now();
+  const TimePoint until = from + fromSeconds(options_.maxPairingSeconds + kPatienceSeconds);
+  while (!source.history.waitFor(scene.midExposure,
+                                 std::clamp<Duration>(until - Clock::now(), Duration(0), kTick))) {
+    if (Clock::now() >= until) return;
+    tick();
+    report();
+  }
 }
 
 // The light at the scene frame's time, from every source camera that saw the lamp.
@@ -478,8 +637,7 @@ tl::expected<Recording::Lit, Refusal> Recording::lightOn(const Frame& frame) {
   Refusal refusal = Refusal::kUnpaired;  // the one that got furthest
   for (std::size_t i = 0; i < sources_.size(); ++i) {
     ObservationHistory& history = sources_[i]->history;
-    history.waitFor(metadata.midExposure,
-                    fromSeconds(options_.maxPairingSeconds + kPatienceSeconds));
+    waitForSource(*sources_[i], metadata);
     auto paired =
         history.at(metadata.midExposure, metadata.timeUncertainty, options_.maxPairingSeconds);
     if (!paired) {
@@ -492,24 +650,24 @@ tl::expected<Recording::Lit, Refusal> Recording::lightOn(const Frame& frame) {
       refusal = Refusal::kBeyondCalibration;
       continue;
     }
+    state_.pairingErrorSeconds = std::min(paired->secondsToBefore, paired->secondsToAfter);
     lit.motion =
         std::max(lit.motion, Angle::radians(paired->radiansPerSecond * metadata.exposureSeconds));
     lit.seen.push_back({i, paired->lamp});
     lit.paired.push_back(std::move(*paired));
   }
   if (lit.seen.empty()) return tl::unexpected(refusal);
-  if (lit.motion > options_.maxLampMotion) return tl::unexpected(Refusal::kLampTooFast);
   const std::span<const SeenLamp> used(lit.seen);
   auto light = lightAtSubject(options_.posesUnknown ? used.first(1) : used, rig_);
+  if (light) judgedDirection_ = light->direction;
+  if (lit.motion > options_.maxLampMotion) return tl::unexpected(Refusal::kLampTooFast);
   if (!light) return tl::unexpected(Refusal::kUncertain);
   // Of several cameras one sees the lamp: its distance is only known if somebody said it.
   if (sources_.size() > 1 && used.size() == 1 && !options_.posesUnknown && !light->position) {
     return tl::unexpected(Refusal::kUncertain);
   }
   lit.light = std::move(*light);
-  const double worst =
-      Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(lit.light.covariance).eigenvalues()[2];
-  if (!(std::sqrt(std::max(worst, 0.0)) <= options_.maxDirectionSigma.radians())) {
+  if (!(worstSigma(lit.light.covariance) <= options_.maxDirectionSigma)) {
     return tl::unexpected(Refusal::kUncertain);
   }
   return lit;
@@ -517,6 +675,7 @@ tl::expected<Recording::Lit, Refusal> Recording::lightOn(const Frame& frame) {
 
 Result<Refusal> Recording::judge(const Frame& frame) {
   const FrameMetadata& metadata = frame.metadata;
+  judgedDirection_.reset();
   const auto lit = lightOn(frame);
   if (!lit) {
     RETURN_IF_ERROR(endBracket());
@@ -573,7 +732,7 @@ Result<Refusal> Recording::judge(const Frame& frame) {
   record.exposureSeconds =
       options_.bracket.empty() ? metadata.exposureSeconds : linearise_.referenceExposureSeconds;
   record.gainDb = metadata.gainDb;
-  record.midExposureSeconds = secondsBefore_ + toSeconds(metadata.midExposure - *firstFrame_);
+  record.midExposureSeconds = toSeconds(metadata.midExposure - *control_.timeZero);
   const PairedLamp& paired = lit->paired.front();
   record.pairingErrorSeconds = std::min(paired.secondsToBefore, paired.secondsToAfter);
   record.saturatedFraction = linear.saturatedFraction;
@@ -586,8 +745,10 @@ Result<Refusal> Recording::judge(const Frame& frame) {
                   {"lampFlux", paired.lamp.flux}};
   if (!options_.bracket.empty()) record.gates["bracket"] = options_.bracket;
   // A disk that cannot keep up costs this frame, not the stream; its direction stays open.
-  if (writeQueue_.push({std::move(record), std::move(linear.radiance),
-                        options_.keepRaw ? std::optional(frame) : std::nullopt})) {
+  if (writeQueue_.push({std::move(record),
+                        std::move(linear.radiance),
+                        options_.keepRaw ? std::optional(frame) : std::nullopt,
+                        {}})) {
     coverage_.add(light.direction);
   }
   return Refusal::kNone;
@@ -647,6 +808,7 @@ void Recording::guideOn(double seconds) {
     plan_.update(coverage_, seconds, now->direction,
                  (now->direction - before->direction) / std::max(dt, 1e-3));
     state_.lampDirection = now->direction;
+    state_.directionSigma = worstSigma(now->covariance);
     state_.lamp = latest->second;
     state_.lampCamera = static_cast<int>(i);
     state_.lampTrouble.clear();
@@ -666,7 +828,38 @@ void Recording::report() {
                    static_cast<std::size_t>(wanted_));
   state_.recorded = written_;
   state_.coverage = static_cast<double>(durable_) / static_cast<double>(coverage_.grid().size());
-  if (onState_) onState_(state_);
+  if (!onState_) return;
+  state_.refusals = summary_.refusals;
+  state_.droppedByQueues = dropped();
+  std::vector<bool> captured(onDisk_.size());
+  for (std::size_t i = 0; i < captured.size(); ++i) {
+    captured[i] = coverage_.captured(static_cast<int>(i));
+  }
+  if (!state_.captured || captured != *state_.captured) {
+    state_.captured = std::make_shared<std::vector<bool>>(std::move(captured));
+  }
+  {
+    const std::lock_guard lock(mutex_);
+    state_.scene = sceneLink_;
+    state_.sources = sourceLinks_;
+  }
+  onState_(state_);
+}
+
+// Asking a camera that is being lost takes long: not on the judge's thread.
+void Recording::lookAtLinks() {
+  StreamStatistics scene = sceneCamera_.statistics();
+  std::vector<StreamStatistics> sources;
+  for (const auto& source : sources_) sources.push_back(source->camera.statistics());
+  const std::lock_guard lock(mutex_);
+  sceneLink_ = std::move(scene);
+  sourceLinks_ = std::move(sources);
+}
+
+std::uint64_t Recording::dropped() const {
+  std::uint64_t count = sceneQueue_.refused() + writeQueue_.refused();
+  for (const auto& source : sources_) count += source->queue.refused();
+  return count;
 }
 
 Result<void> Recording::startSource(SourceStream& source) {
@@ -688,7 +881,8 @@ Result<void> Recording::startSource(SourceStream& source) {
 
 // Cameras that run freely at one rate keep the phase they were started with. A source frame exposed
 // together with the scene frame leaves nothing to interpolate, which a hand's tremor is too fast
-// for: so a source camera whose phase is off is started again, as much earlier or later.
+// for, and comes as soon as that: so a source camera whose phase is off is started again, as much
+// earlier or later.
 Result<void> Recording::alignPhases(const std::stop_token& stop) {
   const double period = 1 / options_.framesPerSecond;
   const auto over = [&] {
@@ -707,7 +901,7 @@ Result<void> Recording::alignPhases(const std::stop_token& stop) {
       if (source->lastExposed == 0 || lastSceneExposed_ == 0) return {};
       const Duration late(Duration::rep(source->lastExposed - lastSceneExposed_));
       const double offset = std::remainder(toSeconds(late), period);
-      if (std::abs(offset) < kAlignedSeconds) break;
+      if (offset >= 0 && offset < kAlignedSeconds) break;
       if (attempt + 1 == kAlignments) {
         if (std::abs(offset) > kOutOfStepSeconds) {
           progress_.warn(
@@ -718,8 +912,9 @@ Result<void> Recording::alignPhases(const std::stop_token& stop) {
         break;
       }
       source->camera.stop();
-      // The same latency as last time brings its frames `offset` earlier.
-      const double since = toSeconds(Clock::now() - source->started) + offset;
+      // The same latency as last time brings its frames as much earlier.
+      const double since =
+          toSeconds(Clock::now() - source->started) + offset - 0.5 * kAlignedSeconds;
       const double wait = std::ceil(since / period) * period - since;
       std::this_thread::sleep_for(fromSeconds(wait));
       RETURN_IF_ERROR(startSource(*source));
@@ -787,6 +982,7 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
     }
     sceneQueue_.close(!drain);
     if (judge.joinable()) judge.join();
+    passWishesOn();
     writeQueue_.close();
     if (writer.joinable()) writer.join();
   };
@@ -808,8 +1004,15 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
           },
           [this](const Error& error) { cameraEnded("scene", error); });
     }
-    if (started) started = alignPhases(stop);
-    if (started) started = measureRooms(stop);
+    if (started) {
+      started = alignPhases(stop);
+      if (started) started = measureRooms(stop);
+      if (!started && started.error().code == ErrorCode::kDevice) {
+        cameraEnded("source", started.error());
+        started = {};
+      }
+    }
+    TimePoint looked = Clock::now();
     aligning_ = false;
     lastScene_ = Clock::now().time_since_epoch().count();
     for (const auto& source : sources_) source->last = lastScene_.load();
@@ -820,6 +1023,10 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
         break;
       }
       lock.unlock();
+      if (Clock::now() - looked > kBetweenLooks) {
+        looked = Clock::now();
+        lookAtLinks();
+      }
       if (stop.stop_requested() || progress_.cancelled()) end("stopped", false);
       if (options_.timeLimitSeconds &&
           toSeconds(Clock::now() - start_) > *options_.timeLimitSeconds) {
@@ -837,8 +1044,9 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
     }
     guide_.stop();
     // Frames that were sent before a camera ended are judged; after any other end nobody waits.
-    summary_.scene = sceneCamera_.statistics();
-    for (const auto& source : sources_) summary_.sources.push_back(source->camera.statistics());
+    lookAtLinks();
+    summary_.scene = sceneLink_;
+    summary_.sources = sourceLinks_;
   }
   bool drain;
   {
@@ -846,8 +1054,10 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
     drain = drain_ && !error_;
   }
   finish(drain);
+  for (const auto& source : sources_) control_.trackers.push_back(std::move(source->tracker));
   if (!started) return tl::unexpected(started.error());
   if (error_) return tl::unexpected(*error_);
+  tick();
   report();
   return summarise();
 }
@@ -855,15 +1065,13 @@ Result<RecorderSummary> Recording::run(std::stop_token stop) {
 RecorderSummary Recording::summarise() {
   summary_.ended = ended_;
   summary_.cameraLost = lost_;
-  summary_.timeZero = firstFrame_.value_or(start_) - fromSeconds(secondsBefore_);
+  summary_.timeZero = control_.timeZero.value_or(start_ - fromSeconds(secondsBefore_));
   summary_.recorded = written_;
   summary_.captured = durable_;
   summary_.directions = coverage_.grid().size();
   summary_.coverage = coverage_.fraction();
   summary_.seconds = toSeconds(Clock::now() - start_);
-  if (firstFrame_) summary_.timeZero = *firstFrame_ - fromSeconds(secondsBefore_);
-  summary_.droppedByQueues = sceneQueue_.refused() + writeQueue_.refused();
-  for (const auto& source : sources_) summary_.droppedByQueues += source->queue.refused();
+  summary_.droppedByQueues = dropped();
   return summary_;
 }
 
@@ -928,7 +1136,8 @@ void RecorderControl::undo() {
 
 void RecorderControl::dropRegion(const Vector3d& centre, Angle radius, std::string reason) {
   const std::lock_guard lock(state_->mutex);
-  state_->wishes.push_back({{{centre.normalized(), radius}}, std::move(reason)});
+  state_->wishes.push_back(
+      {std::pair(centre.normalized(), radius), reason.empty() ? "region" : std::move(reason)});
 }
 
 std::string describe(Refusal refusal) {
@@ -961,6 +1170,9 @@ std::string RecorderSummary::describe() const {
   std::string text =
       fmt::format("{} frames recorded in {:.0f} s ({}); {} of {} directions captured, {:.1f} %\n",
                   recorded, seconds, ended, captured, directions, 100 * coverage);
+  if (reconnections > 0) {
+    text += fmt::format("lost cameras were found again and gone on with {} times\n", reconnections);
+  }
   text += fmt::format("{} frames judged", offered);
   const char* separator = "; refused: ";
   for (const auto& [refusal, count] : refusals) {
@@ -986,7 +1198,7 @@ Result<RecorderSummary> record(Camera& sceneCamera, std::span<const SourceCamera
                                const RecorderOptions& options, Progress& progress,
                                std::stop_token stop,
                                std::function<void(const RecorderState&)> onState,
-                               RecorderControl* /*control*/) {
+                               RecorderControl* control) {
   RETURN_IF_ERROR(validate(options));
   if (sources.empty() || sources.size() != rig.sourceCameras.size()) {
     return failure(ErrorCode::kInvalidArgument,
@@ -1052,8 +1264,10 @@ Result<RecorderSummary> record(Camera& sceneCamera, std::span<const SourceCamera
   for (const int id : sketch.activeFrames()) {
     coverage.add(sketch.frames()[static_cast<std::size_t>(id)].light.direction);
   }
+  RecorderControl own;
   Recording recording(sceneCamera, sources, rig, options, progress, std::move(onState),
-                      std::move(sketch), std::move(coverage), scene);
+                      (control == nullptr ? own : *control).state(), std::move(sketch),
+                      std::move(coverage), scene);
   if (goOn) RETURN_IF_ERROR(recording.resume());
   return recording.run(stop);
 }

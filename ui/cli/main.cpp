@@ -317,11 +317,19 @@ struct Commands {
                       "keep the sensor's own counts beside each frame (frames/000123.raw.png)");
     command->add_flag("!--keep-ambient", recorder.subtractAmbient,
                       "keep the ambient light in the frames, and its picture beside them");
+    command
+        ->add_option("--reconnect", record_.reconnectSeconds,
+                     "wait this many seconds for a camera that was lost, and go on; 0: end")
+        ->type_name("SECONDS")
+        ->check(CLI::NonNegativeNumber)
+        ->capture_default_str();
     addRigOptions(*command, record_.simulatedRig);
     command->callback([this] {
       action = [this](ProgressBar& bar, const std::stop_token& stop) {
         return recordJob(record_, bar, stop, [&bar](const RecorderState& state) {
-          if (state.lampWantedOff)
+          if (!state.waitingFor.empty())
+            bar.setNote("waiting for the camera");
+          else if (state.lampWantedOff)
             bar.setNote("lamp OFF: ambient frame");
           else if (state.lastRefusal != Refusal::kNone)
             bar.setNote(describe(state.lastRefusal));

@@ -44,6 +44,7 @@ class FakeCamera final : public Camera {
           if (onEnd) onEnd({ErrorCode::kDevice, "fake:scene: control lost"});
           return;
         }
+        if (!isSource_ && rig_.sceneSilent) continue;
         onFrame(draw(id, time));
         ++delivered_;
       }

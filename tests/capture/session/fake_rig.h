@@ -32,14 +32,15 @@ class FakeRig {
   // Counts of 255 that the scene camera sees of a lamp in a direction, and without it.
   static double lampCounts(const Eigen::Vector3d& direction) { return 90 + 60 * direction.x(); }
   static constexpr double kAmbientCounts = 20;
-  static constexpr double kExposureSeconds = 0.002;  // these are counts of
+  static constexpr double kExposureSeconds = 0.002;        // these are counts of
   static constexpr double kSourceExposureSeconds = 0.001;  // the source camera sees the room at 12
-  static constexpr double kHighlight = 8;            // brighter is the pixel in the corner
+  static constexpr double kHighlight = 8;                  // brighter is the pixel in the corner
 
   // Knobs, set before the cameras start or from any thread.
   std::atomic<bool> lampVisible = true;  // to the source camera
   std::atomic<bool> saturate = false;    // the scene camera
   std::atomic<int> sceneFramesUntilLoss = -1;
+  std::atomic<bool> sceneSilent = false;  // sends nothing
   std::atomic<int> sceneWidth = kSceneWidth;
   // Where the lamp is sent, and whether it is on: by the guide features or by a test.
   void send(bool lit, const Eigen::Vector3d& target);

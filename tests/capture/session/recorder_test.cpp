@@ -4,6 +4,7 @@
 #include <unistd.h>
 
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 #include <set>
 #include <thread>
@@ -35,7 +36,7 @@ class Recorder : public testing::Test {
   Result<RecorderSummary> run(FakeRig& rig,
                               std::function<void(const RecorderState&)> onState = {}) {
     return record(rig.scene(), std::array{SourceCamera{rig.source(), rig.model()}}, rig.geometry(),
-                  folder_, options_, progress_, stop_.get_token(), std::move(onState));
+                  folder_, options_, progress_, stop_.get_token(), std::move(onState), &control_);
   }
   // Stops the recording once so many scene frames were judged, then says why they were refused.
   std::map<Refusal, int> refusalsAfter(FakeRig& rig, int frames,
@@ -45,7 +46,7 @@ class Recorder : public testing::Test {
     int judged = 0;
     auto summary = run(rig, [&](const RecorderState& state) {
       if (holdAt) rig.send(!state.lampWantedOff, *holdAt);
-      if (!state.lampWantedOff && ++judged > frames) stop_.request_stop();
+      if (state.judged && ++judged > frames) stop_.request_stop();
     });
     EXPECT_TRUE(summary) << summary.error().message;
     return summary ? summary->refusals : std::map<Refusal, int>{};
@@ -54,6 +55,7 @@ class Recorder : public testing::Test {
   fs::path folder_;
   RecorderOptions options_;
   SilentProgress progress_;
+  RecorderControl control_;
   std::stop_source stop_;
 };
 
@@ -258,13 +260,192 @@ TEST_F(Recorder, ALostCameraEndsTheRecordingWithEverythingOnDisk) {
   for (const FrameRecord& frame : sketch->frames()) EXPECT_TRUE(sketch->readFrame(frame.id));
 }
 
-TEST_F(Recorder, ACameraLostBeforeAnythingWasRecordedIsAnError) {
+TEST_F(Recorder, SaysThatACameraWasLostBeforeAnythingWasRecorded) {
   FakeRig rig(true);
   rig.sceneFramesUntilLoss = 3;
   const auto summary = run(rig);
-  ASSERT_FALSE(summary);
-  EXPECT_EQ(summary.error().code, ErrorCode::kDevice);
-  EXPECT_NE(summary.error().message.find("nothing was recorded"), std::string::npos);
+  ASSERT_TRUE(summary) << summary.error().message;
+  EXPECT_TRUE(summary->cameraLost);
+  EXPECT_EQ(summary->recorded, 0);
+}
+
+TEST_F(Recorder, GoesOnWithOtherCamerasWithoutAskingForDarknessAgain) {
+  options_.coverageGoal = 0.3;
+  {
+    FakeRig rig(true);
+    rig.sceneFramesUntilLoss = 150;
+    const auto summary = run(rig);
+    ASSERT_TRUE(summary) << summary.error().message;
+    ASSERT_TRUE(summary->cameraLost);
+    ASSERT_GT(summary->recorded, 3);
+    ASSERT_LT(summary->recorded, 18);
+  }
+  FakeRig other(true);
+  bool asked = false;
+  const auto summary =
+      run(other, [&](const RecorderState& state) { asked = asked || state.lampWantedOff; });
+  ASSERT_TRUE(summary) << summary.error().message;
+  EXPECT_EQ(summary->ended, "coverage goal reached");
+  EXPECT_FALSE(asked);
+  // The later frames are without the ambient light, too, and times go on.
+  const auto sketch = Sketch::open(folder_).value();
+  double last = -1;
+  for (const FrameRecord& frame : sketch.frames()) {
+    const double lamp = FakeRig::lampCounts(frame.light.direction) / 255;
+    EXPECT_NEAR(sketch.readFrame(frame.id).value()(5, 5, 0), lamp, 0.03 * 60 / 255 + 0.5 / 255);
+    EXPECT_GT(frame.midExposureSeconds, last);
+    last = frame.midExposureSeconds;
+  }
+}
+
+TEST_F(Recorder, TellsWhatBecomesOfEveryFrame) {
+  options_.coverageGoal = 0.3;
+  FakeRig rig(true);
+  int judged = 0, kept = 0;
+  std::shared_ptr<const std::vector<bool>> captured;
+  int replaced = 0;
+  RecorderState last;
+  const auto summary = run(rig, [&](const RecorderState& state) {
+    if (captured != state.captured) {
+      if (captured) {
+        EXPECT_NE(*captured, *state.captured);
+      }
+      captured = state.captured;
+      ++replaced;
+    }
+    last = state;
+    if (!state.judged) return;
+    ++judged;
+    EXPECT_GE(state.judged->decided, state.judged->arrival);
+    EXPECT_EQ(state.judged->refusal, state.lastRefusal);
+    if (state.judged->refusal != Refusal::kNone) return;
+    ++kept;
+    // The dot is there at once.
+    ASSERT_TRUE(state.judged->direction);
+    const auto grid = LightGrid::create(64).value();
+    EXPECT_TRUE(
+        (*state.captured)[static_cast<std::size_t>(grid.nearest(*state.judged->direction))]);
+  });
+  ASSERT_TRUE(summary) << summary.error().message;
+  EXPECT_EQ(judged, summary->offered);
+  EXPECT_EQ(kept, summary->recorded);
+  EXPECT_EQ(replaced, kept + 1);
+  EXPECT_EQ(last.grid->size(), 64u);
+  EXPECT_EQ(last.refusals, summary->refusals);
+  EXPECT_EQ(std::count(captured->begin(), captured->end(), true), summary->captured);
+  EXPECT_EQ(last.scene.delivered, summary->scene.delivered);
+  EXPECT_EQ(last.sources.size(), 1u);
+  EXPECT_GT(last.directionSigma.degrees(), 0);
+  // Half the interval of 60 frames a second at most.
+  EXPECT_LT(last.pairingErrorSeconds, 0.009);
+}
+
+TEST_F(Recorder, ReportsWhereNoFrameComes) {
+  FakeRig rig(true);
+  rig.sceneSilent = true;
+  int calls = 0;
+  const auto summary = run(rig, [&](const RecorderState&) {
+    if (++calls == 12) stop_.request_stop();
+  });
+  ASSERT_TRUE(summary) << summary.error().message;
+  EXPECT_GE(calls, 12);
+  EXPECT_EQ(summary->offered, 0);
+}
+
+TEST_F(Recorder, KeepsNothingWhilePaused) {
+  options_.coverageGoal = 0.25;
+  FakeRig rig(true);
+  int paused = 0;
+  std::optional<int> recorded;
+  const auto summary = run(rig, [&](const RecorderState& state) {
+    if (state.recorded >= 5 && paused == 0) control_.pause(true);
+    if (!state.paused) return;
+    EXPECT_FALSE(state.judged);
+    // What was accepted before is on disk a moment later; the lamp is followed on.
+    if (++paused == 30) recorded = state.recorded;
+    if (paused == 60) {
+      EXPECT_EQ(state.recorded, recorded);
+      EXPECT_TRUE(state.lampDirection);
+      control_.pause(false);
+    }
+  });
+  ASSERT_TRUE(summary) << summary.error().message;
+  EXPECT_GE(paused, 60);
+  EXPECT_EQ(summary->ended, "coverage goal reached");
+}
+
+TEST_F(Recorder, UndoTakesBackFramesAndRegionsTheLatestFirst) {
+  options_.coverageGoal = 0.5;
+  FakeRig rig(true);
+  const Eigen::Vector3d centre = Eigen::Vector3d::UnitZ();
+  const Angle radius = Angle::degrees(50);
+  const auto within = [&](const FrameRecord& frame) {
+    return frame.light.direction.dot(centre) >= std::cos(radius.radians());
+  };
+  // Recorded, paused, region dropped, taken back, and three frames more: each step waits until the
+  // state says that it was done.
+  int step = 0, before = 0, active = 0;
+  const auto summary = run(rig, [&](const RecorderState& state) {
+    const auto covered = std::count(state.captured->begin(), state.captured->end(), true);
+    switch (step) {
+      case 0:
+        if (state.recorded < 20) return;
+        control_.pause(true);
+        ++step;
+        return;
+      case 1:
+        if (!state.paused || covered != state.recorded) return;
+        before = state.recorded;
+        control_.dropRegion(centre, radius, "cat");
+        ++step;
+        return;
+      case 2:
+        if (state.recorded == before || covered != state.recorded) return;
+        EXPECT_LT(state.recorded, before - 2);
+        active = state.recorded;
+        control_.undo();
+        ++step;
+        return;
+      case 3:
+        if (covered == active) return;
+        if (covered != before) return;
+        EXPECT_EQ(state.recorded, before);
+        for (int i = 0; i < 3; ++i) control_.undo();
+        ++step;
+        return;
+      case 4:
+        if (state.recorded > before - 3 || covered > before - 3) return;
+        EXPECT_EQ(state.recorded, before - 3);
+        control_.dropRegion(centre, radius, "cat");
+        stop_.request_stop();  // what was asked for before is done
+        ++step;
+        return;
+      default:
+        return;
+    }
+  });
+  ASSERT_TRUE(summary) << summary.error().message;
+  ASSERT_EQ(step, 5);
+  const auto sketch = Sketch::open(folder_).value();
+  ASSERT_EQ(static_cast<int>(sketch.frames().size()), before);
+  for (const FrameRecord& frame : sketch.frames()) {
+    const bool undone = frame.id >= before - 3;
+    EXPECT_EQ(frame.dropped, undone || within(frame)) << frame.id;
+    if (frame.dropped && !undone) {
+      EXPECT_EQ(frame.dropReason, "cat");
+    }
+  }
+  EXPECT_EQ(summary->recorded, static_cast<int>(sketch.activeFrames().size()));
+  EXPECT_EQ(summary->captured, summary->recorded);
+
+  // Shot again: its cells are open.
+  stop_ = {};
+  control_.pause(false);
+  const auto again = run(rig);
+  ASSERT_TRUE(again) << again.error().message;
+  EXPECT_EQ(again->ended, "coverage goal reached");
+  EXPECT_EQ(Sketch::open(folder_)->activeFrames().size(),
+            static_cast<std::size_t>(summary->recorded + again->recorded));
 }
 
 TEST_F(Recorder, AFailingDiskStopsItAndLeavesWholeFrames) {
