@@ -4,6 +4,9 @@
 #include <sys/stat.h>
 #include <unistd.h>
 #include <xxhash.h>
+#ifdef __x86_64__
+#include <xxh_x86dispatch.h>  // the same, by AVX2 or AVX-512 where there is one
+#endif
 
 #include <atomic>
 #include <cerrno>

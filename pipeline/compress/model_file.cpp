@@ -3,10 +3,14 @@
 // small.
 #include <fcntl.h>
 #include <hdf5.h>
+#include <libdeflate.h>
 #include <oneapi/tbb/enumerable_thread_specific.h>
 #include <oneapi/tbb/parallel_for.h>
 #include <unistd.h>
 #include <xxhash.h>
+#ifdef __x86_64__
+#include <xxh_x86dispatch.h>  // the same, by AVX2 or AVX-512 where there is one
+#endif
 #include <zlib.h>
 
 #include <algorithm>
@@ -112,20 +116,6 @@ hsize_t rowsPerChunk(hsize_t rows, hsize_t rowBytes) {
                              std::max<hsize_t>(rows, 1));
 }
 
-// HDF5's shuffle of 16-bit numbers: all lower bytes, then all upper ones.
-void shuffle(std::span<const std::uint16_t> in, std::byte* out) {
-  for (std::size_t i = 0; i < in.size(); ++i) {
-    out[i] = static_cast<std::byte>(in[i] & 0xff);
-    out[in.size() + i] = static_cast<std::byte>(in[i] >> 8);
-  }
-}
-void unshuffle(const std::byte* planes, std::span<std::uint16_t> out, std::size_t whole) {
-  for (std::size_t i = 0; i < out.size(); ++i) {
-    out[i] = static_cast<std::uint16_t>(std::to_integer<unsigned>(planes[i]) |
-                                        std::to_integer<unsigned>(planes[whole + i]) << 8);
-  }
-}
-
 // Quantised factors hold next to no repetitions but runs of zeros. Looking for no other is 20 times
 // faster, and 1 to 4 percent larger, which matters where the whole is small.
 int strategyFor(const RelightableModel& model) {
@@ -193,7 +183,7 @@ class Writer {
       std::copy_n(values.begin() + static_cast<std::ptrdiff_t>(from),
                   std::min(numbers.size(), values.size() - from), numbers.begin());
       planes.resize(numbers.size() * sizeof(std::uint16_t));
-      shuffle(numbers, planes.data());
+      splitBytes(numbers, planes.data(), planes.data() + numbers.size());
       deflated[c] = deflate(planes, strategy);
     });
     const Handle space(H5Screate_simple(2, shape.data(), nullptr), H5Sclose);
@@ -685,12 +675,12 @@ class Reader {
   std::uint64_t maxBytes_;
 };
 
-// A packed dataset: chunks read one after the other, inflated by all cores.
-Result<PackedCode::Numbers> readPacked(Reader& reader, const char* name, const Shape& shape,
-                                       const std::string& where) {
-  using Number = std::uint16_t;
-  PackedCode::Numbers values(shape[0] * shape[1]);
-  if (values.empty()) return values;
+// A packed dataset: chunks read one after the other, inflated by all cores. Calls
+// line(k, its lower bytes, its upper bytes) for every line, on any thread.
+template <class Line>
+Result<void> readPacked(Reader& reader, const char* name, const Shape& shape,
+                        const std::string& where, const Line& line) {
+  if (shape[0] * shape[1] == 0) return {};
   const auto refuse = [&] {
     return failure(ErrorCode::kCorrupt, "{}: dataset {} cannot be read", where, name);
   };
@@ -699,24 +689,28 @@ Result<PackedCode::Numbers> readPacked(Reader& reader, const char* name, const S
   const Handle properties(set ? H5Dget_create_plist(set) : -1, H5Pclose);
   Shape chunk(2);
   if (!type || !properties || H5Tget_class(type) != H5T_INTEGER ||
-      H5Tget_size(type) != sizeof(Number) || H5Pget_layout(properties) != H5D_CHUNKED ||
+      H5Tget_size(type) != sizeof(std::uint16_t) || H5Pget_layout(properties) != H5D_CHUNKED ||
       H5Pget_chunk(properties, 2, chunk.data()) != 2 || chunk[0] < 1 || chunk[1] != shape[1] ||
       chunk[0] > shape[0] || H5Pget_nfilters(properties) != 2) {
     return refuse();
   }
   const std::size_t chunks = (shape[0] + chunk[0] - 1) / chunk[0];
-  const std::size_t chunkBytes = chunk[0] * chunk[1] * sizeof(Number);
+  const std::size_t numbers = chunk[0] * chunk[1];
+  const std::size_t chunkBytes = numbers * sizeof(std::uint16_t);
   // Kept from chunk to chunk: fresh memory costs more than what is done in it.
-  struct Buffers {
+  struct Worker {
+    std::unique_ptr<libdeflate_decompressor, decltype(&libdeflate_free_decompressor)> inflater{
+        libdeflate_alloc_decompressor(), libdeflate_free_decompressor};
     Bytes deflated;
-    Bytes planes;
+    Bytes bytes;
   };
-  tbb::enumerable_thread_specific<Buffers> perThread;
+  tbb::enumerable_thread_specific<Worker> workers;
   std::mutex mutex;  // guards libhdf5
   std::atomic<bool> failed = false;
   tbb::parallel_for(std::size_t{0}, chunks, [&](std::size_t c) {
-    Buffers& buffers = perThread.local();
-    buffers.planes.resize(chunkBytes);
+    Worker& worker = workers.local();
+    if (!worker.inflater) throw std::bad_alloc();
+    worker.bytes.resize(chunkBytes);
     {
       const std::scoped_lock lock(mutex);
       const hsize_t place[] = {c * chunk[0], 0};
@@ -727,28 +721,28 @@ Result<PackedCode::Numbers> readPacked(Reader& reader, const char* name, const S
         failed = true;
         return;
       }
-      buffers.deflated.resize(bytes);
-      if (H5Dread_chunk(set, H5P_DEFAULT, place, &filters, buffers.deflated.data()) < 0 ||
+      worker.deflated.resize(bytes);
+      if (H5Dread_chunk(set, H5P_DEFAULT, place, &filters, worker.deflated.data()) < 0 ||
           filters != 0) {
         failed = true;
         return;
       }
     }
-    uLongf size = chunkBytes;
-    if (uncompress(reinterpret_cast<Bytef*>(buffers.planes.data()), &size,
-                   reinterpret_cast<const Bytef*>(buffers.deflated.data()),
-                   buffers.deflated.size()) != Z_OK ||
-        size != chunkBytes) {
+    // Without a place for the size: anything but chunkBytes fails.
+    if (libdeflate_zlib_decompress(worker.inflater.get(), worker.deflated.data(),
+                                   worker.deflated.size(), worker.bytes.data(), chunkBytes,
+                                   nullptr) != LIBDEFLATE_SUCCESS) {
       failed = true;
       return;
     }
-    const std::size_t whole = chunk[0] * chunk[1];
-    const std::size_t from = c * whole;
-    unshuffle(buffers.planes.data(),
-              std::span(values).subspan(from, std::min(whole, values.size() - from)), whole);
+    const std::size_t first = c * chunk[0];
+    for (std::size_t i = 0; i < std::min(chunk[0], shape[0] - first); ++i) {
+      const std::byte* const lower = worker.bytes.data() + i * chunk[1];
+      line(first + i, lower, lower + numbers);
+    }
   });
   if (failed) return refuse();
-  return values;
+  return {};
 }
 
 // The factors of a file of version 1: floats or halfs, row-major, V as in the paper, through
@@ -842,21 +836,21 @@ Result<void> readFactors(Reader& reader, const Head& head, std::array<FactorValu
     ASSIGN_OR_RETURN(model.E.scale, reader.scales("E_scale"));
     return {};
   }
-  auto code = std::make_shared<PackedCode>();
-  code->layout = model.layout;
-  code->blockOffset = model.blockOffset;
-  code->rank = model.rank;
-  code->lights = model.lightCount();
-  ASSIGN_OR_RETURN(code->E, readPacked(reader, "E", wantedE, where));
-  ASSIGN_OR_RETURN(code->U, readPacked(reader, "U", wantedU, where));
-  ASSIGN_OR_RETURN(code->V, readPacked(reader, "V", wantedV, where));
-  ASSIGN_OR_RETURN(code->stepE, reader.scales("E_scale"));
-  ASSIGN_OR_RETURN(code->stepU, reader.scales("U_scale"));
-  ASSIGN_OR_RETURN(code->stepV, reader.scales("V_scale"));
-  if (code->stepE.size() != rows || code->stepU.size() != q || code->stepV.size() != q)
+  ASSIGN_OR_RETURN(const auto stepE, reader.scales("E_scale"));
+  ASSIGN_OR_RETURN(auto stepU, reader.scales("U_scale"));
+  ASSIGN_OR_RETURN(const auto stepV, reader.scales("V_scale"));
+  if (stepE.size() != rows || stepU.size() != q || stepV.size() != q)
     return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", where);
-  setPacked(model, std::move(code));
-  model.code.reset();  // drawing needs it no more
+  Unpacker unpacker(model, model.lightCount());
+  const auto to = [&](auto line) {
+    return [&unpacker, line](std::size_t k, const std::byte* lower, const std::byte* upper) {
+      (unpacker.*line)(k, lower, upper);
+    };
+  };
+  RETURN_IF_ERROR(readPacked(reader, "E", wantedE, where, to(&Unpacker::lineOfE)));
+  RETURN_IF_ERROR(readPacked(reader, "U", wantedU, where, to(&Unpacker::lineOfU)));
+  RETURN_IF_ERROR(readPacked(reader, "V", wantedV, where, to(&Unpacker::lineOfV)));
+  unpacker.finish(stepE, std::move(stepU), stepV);
   return {};
 }
 
