@@ -2,13 +2,16 @@
 // stages.
 #pragma once
 
+#include <Eigen/Core>
 #include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
 
+#include "capture/frame/image.h"
 #include "capture/frame/progress.h"
 #include "capture/frame/result.h"
 #include "pipeline/compress/model.h"
@@ -21,6 +24,15 @@ namespace lightsketch {
 enum class Quality { kSmall, kStandard, kArchive };
 // As the command line calls it: "small", "standard", "archive".
 const char* nameOf(Quality quality);
+
+// The picture as the first stage makes it, for somebody who waits: each finished block under the
+// model's light closest to `light`, in the block's own basis.
+struct CompressWatch {
+  Eigen::Vector3d light = Eigen::Vector3d::UnitZ();
+  // The block's top left pixel and its part of the picture, linear RGB. Called by any thread, one
+  // block after the other in no order; costs nothing where it is empty.
+  std::function<void(int x, int y, RadianceImage&& block)> onBlock = {};
+};
 
 struct CompressOptions {
   int blockSize = 16;  // S, 2 to 64
@@ -57,6 +69,7 @@ struct CompressOptions {
   // Where the decoded images (6 bytes a pixel) wait; nothing is left there. Empty: the system's
   // temporary folder.
   std::filesystem::path scratchFolder = {};
+  CompressWatch watch = {};
 
   bool papersSetting() const { return blockRank || rank || storage; }
   Result<void> validate() const;

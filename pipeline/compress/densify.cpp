@@ -418,6 +418,7 @@ Result<Densifier> Densifier::create(const LightStack& stack, const ScratchStack&
 const std::vector<Vector3d>& Densifier::lights() const { return state_->plan.lights; }
 const InterpolationSettings& Densifier::interpolation() const { return state_->plan.interpolation; }
 bool Densifier::active() const { return state_->plan.active || state_->roots; }
+bool Densifier::squareRoots() const { return state_->roots; }
 const std::string& Densifier::description() const { return state_->plan.description; }
 
 Result<void> Densifier::columns(int block, const std::uint16_t* halfs, std::size_t stride,

@@ -32,6 +32,8 @@ class Densifier {
   // False: the pictures are the captured ones, and columns() only turns halfs into floats. True
   // also where they are the captured ones' square roots.
   bool active() const;
+  // The pictures are square roots.
+  bool squareRoots() const;
   // How the captured lights are interpolated, for people; empty if it does nothing.
   const std::string& description() const;
 

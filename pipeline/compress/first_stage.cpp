@@ -163,6 +163,24 @@ class InOrder {
   std::atomic<bool> failed_ = false;
 };
 
+// One light of a block from its factors, the part that the picture has.
+RadianceImage drawn(const BlockFactors& block, const BlockLayout& layout, int left, int top,
+                    int light, bool squareRoots) {
+  const int size = layout.blockSize;
+  RadianceImage picture(std::min(size, layout.width - left), std::min(size, layout.height - top),
+                        3);
+  const RowMajorMatrixf pixels = block.E.transpose() * block.L.middleCols(3 * light, 3);
+  for (int y = 0; y < picture.height(); ++y) {
+    for (int x = 0; x < picture.width(); ++x) {
+      for (int c = 0; c < 3; ++c) {
+        const float value = pixels(y * size + x, c);
+        picture(x, y, c) = squareRoots ? value * value : value;
+      }
+    }
+  }
+  return picture;
+}
+
 }  // namespace
 
 BlockFactors factoriseBlock(std::span<const std::uint16_t> columns, std::span<const bool> inside,
@@ -176,7 +194,8 @@ BlockFactors factoriseBlock(std::span<const float> columns, std::span<const bool
 
 Result<FirstStage> firstStage(const ScratchStack& scratch, const Densifier& densifier,
                               const BlockLayout& layout, const RankRule& rule,
-                              std::size_t memoryBytes, Progress& progress) {
+                              std::size_t memoryBytes, Progress& progress,
+                              const CompressWatch& watch) {
   const auto images = static_cast<std::size_t>(scratch.images());
   const std::size_t values = scratch.blockValues();
   const auto p = static_cast<std::size_t>(layout.pixelsPerBlock());
@@ -199,6 +218,11 @@ Result<FirstStage> firstStage(const ScratchStack& scratch, const Densifier& dens
   stage.E.resize(0, static_cast<Eigen::Index>(p));
   stage.L = LargeMatrix(3 * lights, most * blocks, memoryBytes / 2, scratch.folder());
   InOrder inOrder(stage, blocks, 2 * workers);
+  const auto watched = static_cast<int>(std::ranges::max_element(densifier.lights(), {},
+                                                                 [&](const Eigen::Vector3d& light) {
+                                                                   return light.dot(watch.light);
+                                                                 }) -
+                                        densifier.lights().begin());
   std::atomic<std::size_t> next = 0;
   std::atomic<std::size_t> done = 0;
   progress.update(kStage, 0, blocks);
@@ -218,9 +242,16 @@ Result<FirstStage> firstStage(const ScratchStack& scratch, const Densifier& dens
       if (result && densifier.active())
         result = densifier.columns(number, halfs.data(), values, workspace, columns);
       if (!result) return inOrder.fail(std::move(result).error());
-      inOrder.put(block, densifier.active()
-                             ? factoriseBlock(columns, pixels, rule)
-                             : factoriseBlock(std::span<const std::uint16_t>(halfs), pixels, rule));
+      BlockFactors factors =
+          densifier.active() ? factoriseBlock(columns, pixels, rule)
+                             : factoriseBlock(std::span<const std::uint16_t>(halfs), pixels, rule);
+      if (watch.onBlock) {
+        const int left = number % layout.columns() * layout.blockSize;
+        const int top = number / layout.columns() * layout.blockSize;
+        watch.onBlock(left, top,
+                      drawn(factors, layout, left, top, watched, densifier.squareRoots()));
+      }
+      inOrder.put(block, std::move(factors));
       progress.update(kStage, ++done, blocks);
     }
   };

@@ -8,6 +8,7 @@
 
 #include "capture/frame/progress.h"
 #include "capture/frame/result.h"
+#include "pipeline/compress/compress.h"
 #include "pipeline/compress/densify.h"
 #include "pipeline/compress/large_matrix.h"
 #include "pipeline/compress/leading_eigenvectors.h"
@@ -46,6 +47,7 @@ struct FirstStage {
 // on the number of cores.
 Result<FirstStage> firstStage(const ScratchStack& scratch, const Densifier& densifier,
                               const BlockLayout& layout, const RankRule& rule,
-                              std::size_t memoryBytes, Progress& progress);
+                              std::size_t memoryBytes, Progress& progress,
+                              const CompressWatch& watch = {});
 
 }  // namespace lightsketch

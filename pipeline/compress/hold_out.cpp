@@ -137,4 +137,10 @@ Result<HoldOut> applyHoldOut(const Sketch& sketch, std::string_view rule) {
   return result;
 }
 
+std::string defaultHoldOut(const Sketch& sketch) {
+  constexpr std::size_t kManyFrames = 200;
+  const bool freeHand = sketch.manifest().directions == 0;
+  return freeHand && sketch.activeFrames().size() >= kManyFrames ? "cells:8:4" : "every:8:4";
+}
+
 }  // namespace lightsketch

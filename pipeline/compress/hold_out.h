@@ -24,4 +24,9 @@ struct HoldOut {
 // "list:FILE": frame ids, one a line. "": nothing held out.
 Result<HoldOut> applyHoldOut(const Sketch& sketch, std::string_view rule);
 
+// The rule where none is asked for and something is to be measured. Free-hand sets of many frames
+// hold near twins, so whole cells are kept back; the recorder keeps one frame a cell, and small
+// sets have none to spare.
+std::string defaultHoldOut(const Sketch& sketch);
+
 }  // namespace lightsketch

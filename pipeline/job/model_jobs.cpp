@@ -2,6 +2,7 @@
 #include "pipeline/job/jobs.h"
 
 #include "calibration/lens/camera_formats.h"
+#include "pipeline/compress/hold_out.h"
 #include "pipeline/sketch/image_file.h"
 #include "pipeline/sketch/sketch.h"
 #include "pipeline/validate/report.h"
@@ -11,14 +12,6 @@ namespace lightsketch {
 namespace {
 
 namespace fs = std::filesystem;
-
-// The hold-out where none is asked for. Free-hand sets of many frames hold near twins, so whole
-// cells are kept back; the recorder keeps one frame a cell, and small sets have none to spare.
-std::string defaultHoldOut(const Sketch& sketch) {
-  constexpr std::size_t kManyFrames = 200;
-  const bool freeHand = sketch.manifest().directions == 0;
-  return freeHand && sketch.activeFrames().size() >= kManyFrames ? "cells:8:4" : "every:8:4";
-}
 
 Result<void> requireParent(const fs::path& file) {
   std::error_code error;
@@ -71,6 +64,9 @@ Result<JobResult> compressJob(const CompressJob& job, Progress& progress) {
   JobResult result;
   result.figures = compressed.summary.toJson();
   result.figures["bytes"] = bytes;
+  const BlockLayout& layout = compressed.model.layout;
+  result.figures["bitsPerPixel"] =
+      8 * static_cast<double>(bytes) / (static_cast<double>(layout.width) * layout.height);
   result.text = fmt::format("{}: {:.2f} MB\n{}", job.out.string(), static_cast<double>(bytes) / 1e6,
                             compressed.summary.describe());
   return result;

@@ -237,8 +237,10 @@ std::string evidence(const FrameVerdict& f) {
 
 }  // namespace
 
-Result<std::string> frameCheckPage(const LightStack& stack, const FrameCheck& check,
-                                   const FrameCheckReportOptions& options, Progress& progress) {
+Result<std::vector<FrameCheckPictures>> frameCheckPictures(const LightStack& stack,
+                                                           const FrameCheck& check,
+                                                           const FrameCheckReportOptions& options,
+                                                           Progress& progress) {
   const std::vector<int> bad = check.bad();
   std::vector<std::unique_ptr<Shown>> shown;
   for (const int i : bad) {
@@ -250,6 +252,18 @@ Result<std::string> frameCheckPage(const LightStack& stack, const FrameCheck& ch
   RETURN_IF_ERROR(
       draw(stack, check, std::min({shrink, stack.width(), stack.height()}), shown, progress));
   const float exposure = exposureFor(shown);
+  std::vector<FrameCheckPictures> pictures;
+  for (const auto& s : shown) {
+    pictures.push_back({s->frame, toSrgb8(s->captured, exposure), toSrgb8(s->predicted, exposure),
+                        ratioPicture(s->captured, s->predicted, exposure)});
+  }
+  return pictures;
+}
+
+Result<std::string> frameCheckPage(const LightStack& stack, const FrameCheck& check,
+                                   const FrameCheckReportOptions& options, Progress& progress) {
+  const std::vector<int> bad = check.bad();
+  ASSIGN_OR_RETURN(const auto shown, frameCheckPictures(stack, check, options, progress));
 
   std::string page = fmt::format(
       "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n"
@@ -274,13 +288,10 @@ Result<std::string> frameCheckPage(const LightStack& stack, const FrameCheck& ch
       "2. z: robust z-scores against the set's own spread.</p>\n",
       shown.size(), bad.size());
   for (const auto& s : shown) {
-    const FrameVerdict& f = check.frames[static_cast<std::size_t>(s->frame)];
-    ASSIGN_OR_RETURN(const std::string captured,
-                     imageTag(toSrgb8(s->captured, exposure), "captured"));
-    ASSIGN_OR_RETURN(const std::string predicted,
-                     imageTag(toSrgb8(s->predicted, exposure), "predicted"));
-    ASSIGN_OR_RETURN(const std::string ratio,
-                     imageTag(ratioPicture(s->captured, s->predicted, exposure), "ratio"));
+    const FrameVerdict& f = check.frames[static_cast<std::size_t>(s.frame)];
+    ASSIGN_OR_RETURN(const std::string captured, imageTag(s.captured, "captured"));
+    ASSIGN_OR_RETURN(const std::string predicted, imageTag(s.predicted, "predicted"));
+    ASSIGN_OR_RETURN(const std::string ratio, imageTag(s.ratio, "ratio"));
     page += fmt::format(
         "<figure id=\"frame-{}\">\n<figcaption><strong><span class=\"chip\" "
         "style=\"background:{}\"></span>frame {}: {}</strong> {}</figcaption>\n<div "

@@ -381,6 +381,16 @@ RadianceImage analyticSky() {
   return sky;
 }
 
+Result<PictureTriple> heldOutPictures(const Sketch& sketch, const RelightableModel& model,
+                                      const DirectionInterpolator& interpolator, int id,
+                                      double exposure) {
+  ASSIGN_OR_RETURN(const auto stack, LightStack::create(sketch, {id}));
+  ASSIGN_OR_RETURN(const RadianceImage truth, stack.read(0));
+  ASSIGN_OR_RETURN(const RadianceImage picture,
+                   relight(model, intensitiesAt(interpolator, stack.directions().front())));
+  return tripleOf(picture, truth, exposure, 1);
+}
+
 Result<ValidationReport> validate(const Sketch& sketch, const RelightableModel& model,
                                   const ValidateOptions& options, Progress& progress) {
   const std::string& rule = options.holdOutRule.empty() ? model.holdOutRule : options.holdOutRule;
@@ -406,6 +416,7 @@ Result<ValidationReport> validate(const Sketch& sketch, const RelightableModel& 
   ValidationReport report;
   report.sketch = sketch.folder().string();
   report.model = options.modelFile.filename().string();
+  report.modelFile = options.modelFile;
   report.holdOutRule = rule;
   report.software = model.software;
   report.interpolation = model.interpolation.describe();
@@ -543,9 +554,11 @@ Json toJson(const ValidationReport& report) {
                {"sketch", report.sketch},
                {"holdOut", report.holdOutRule},
                {"exposure", report.exposure},
+               {"pictureExposure", report.pictureExposure},
                {"psnrCapDb", kPsnrCap},
                {"model",
                 {{"file", report.model},
+                 {"path", report.modelFile.string()},
                  {"software", report.software},
                  {"width", report.width},
                  {"height", report.height},

@@ -96,6 +96,7 @@ struct ModelSize {
 struct ValidationReport {
   std::string sketch;
   std::string model;  // file name
+  std::filesystem::path modelFile;
   std::string holdOutRule;
   std::string software;  // that made the model
   std::string interpolation;
@@ -134,6 +135,12 @@ struct ValidationReport {
 
 // Every figure, as report.json holds it.
 Json toJson(const ValidationReport& report);
+
+// Frame `id` as captured, the model's picture under its light, and their difference, in full size,
+// at `exposure`. `interpolator` is the model's (interpolatorFor).
+Result<PictureTriple> heldOutPictures(const Sketch& sketch, const RelightableModel& model,
+                                      const DirectionInterpolator& interpolator, int id,
+                                      double exposure);
 
 // Predicts every held-out frame from the model at its direction and compares. Refuses a model made
 // with another hold-out rule, one that saw a held-out frame, and an empty hold-out. Uses all cores.

@@ -5,10 +5,12 @@
 #include <oneapi/tbb/task_arena.h>
 
 #include <Eigen/Eigenvalues>
+#include <algorithm>
 #include <atomic>
 #include <cmath>
 #include <fstream>
 #include <memory>
+#include <mutex>
 #include <string>
 
 #include "pipeline/compress/factorise.h"
@@ -104,6 +106,27 @@ TEST(ScratchStack, SaysSoWhereThereIsNoRoom) {
   ASSERT_FALSE(result);
   EXPECT_EQ(result.error().code, ErrorCode::kIo);
   EXPECT_NE(result.error().message.find("/nowhere/at/all"), std::string::npos);
+}
+
+TEST(FirstStage, ShowsEveryBlockToWhoWaits) {
+  const Set set = makeSet(37, 29, 21, 8);  // blocks that stick out of the picture
+  constexpr int kLight = 13;
+  RadianceImage shown(37, 29, 3);
+  std::mutex mutex;
+  CompressWatch watch;
+  watch.light = set.densifier.lights()[kLight];
+  watch.onBlock = [&](int left, int top, const RadianceImage& block) {
+    const std::scoped_lock lock(mutex);
+    for (int y = 0; y < block.height(); ++y)
+      std::ranges::copy(block.row(y), &shown(left, top + y, 0));
+  };
+  SilentProgress progress;
+  ASSERT_TRUE(
+      firstStage(set.scratch, set.densifier, set.layout, {.most = 0}, kMuch, progress, watch));
+  // At full rank a block is its captures, as half floats.
+  const RadianceImage truth = set.stack->read(kLight).value();
+  for (std::size_t i = 0; i < truth.size(); ++i)
+    ASSERT_NEAR(shown.data()[i], truth.data()[i], 2e-3f);
 }
 
 TEST(FirstStage, IsTheBestOfItsRankInEveryBlock) {

@@ -7,6 +7,7 @@
 #include <fstream>
 #include <numbers>
 
+#include "pipeline/compress/compress.h"
 #include "pipeline/illumination/illumination.h"
 #include "pipeline/validate/metrics.h"
 #include "synthetic.h"
@@ -146,6 +147,23 @@ TEST_F(Validate, DifferencePicturesAreFourTimesTheDifference) {
     const int d = std::abs(int{triple.relit.data()[i]} - int{triple.truth.data()[i]});
     EXPECT_EQ(int{triple.difference.data()[i]}, std::min(255, 4 * d));
   }
+}
+
+TEST_F(Validate, PicturesOfOneLightAreThoseOfTheReport) {
+  testing::scale(model_, 1.1f);
+  const auto report = run(model_);
+  ASSERT_TRUE(report);
+  const auto interpolator = interpolatorFor(model_);
+  ASSERT_TRUE(interpolator);
+  for (const ShownLight& shown : report->shown) {
+    const auto one = heldOutPictures(sketch_, model_, *interpolator, report->lights[shown.light].id,
+                                     report->pictureExposure);
+    ASSERT_TRUE(one) << one.error().message;
+    EXPECT_TRUE(std::ranges::equal(one->truth.values(), shown.pictures.truth.values()));
+    EXPECT_TRUE(std::ranges::equal(one->relit.values(), shown.pictures.relit.values()));
+    EXPECT_TRUE(std::ranges::equal(one->difference.values(), shown.pictures.difference.values()));
+  }
+  EXPECT_EQ(toJson(*report)["pictureExposure"], report->pictureExposure);
 }
 
 TEST_F(Validate, ShowsAsManyLightsAsAsked) {
