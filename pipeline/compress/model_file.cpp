@@ -147,7 +147,8 @@ hid_t datasetProperties() {
 // Writes datasets and attributes; the first failure makes all that follows void.
 class Writer {
  public:
-  explicit Writer(hid_t file) : file_(file) {}
+  // `plainLists`: nothing is deflated.
+  Writer(hid_t file, bool plainLists) : file_(file), plainLists_(plainLists) {}
   bool ok() const { return ok_; }
 
   // As it is, in one piece. Returns the dataset's place behind the user block.
@@ -202,7 +203,8 @@ class Writer {
     }
   }
 
-  // Short lists: through shuffle and deflate by libhdf5 where that is smaller than its bookkeeping.
+  // Short lists: through shuffle and deflate by libhdf5 where that is smaller than its bookkeeping
+  // and the factors are not so large that only its time counts.
   template <class T>
   void list(const char* name, const Shape& shape, hid_t storedType, hid_t memoryType,
             const std::vector<T>& values) {
@@ -210,12 +212,12 @@ class Writer {
                        H5Sclose);
     const Handle properties(datasetProperties(), H5Pclose);
     constexpr std::size_t kSmall = 512;
-    if (values.size() * sizeof(T) > kSmall) {
+    if (values.size() * sizeof(T) <= kSmall) {
+      check(H5Pset_layout(properties, H5D_COMPACT));
+    } else if (!plainLists_) {
       check(H5Pset_chunk(properties, static_cast<int>(shape.size()), shape.data()));
       check(H5Pset_shuffle(properties));
       check(H5Pset_deflate(properties, 9));
-    } else {
-      check(H5Pset_layout(properties, H5D_COMPACT));
     }
     const Handle set(
         H5Dcreate2(file_, name, storedType, space, H5P_DEFAULT, properties, H5P_DEFAULT), H5Dclose);
@@ -258,6 +260,7 @@ class Writer {
   }
 
   hid_t file_;
+  bool plainLists_;
   bool ok_ = true;
 };
 
@@ -346,7 +349,7 @@ bool buildFile(const RelightableModel& model, Use use) {
   H5Pset_fapl_core(access, increment, false);
   const Handle file(H5Fcreate("model in memory", H5F_ACC_TRUNC, creation, access), H5Fclose);
   if (!file) return false;
-  Writer writer(file);
+  Writer writer(file, model.storage != Storage::kPacked);
   std::optional<Places> places;
   if (model.storage == Storage::kPacked) {
     const PackedCode& code = *model.code;
@@ -631,7 +634,10 @@ class Reader {
   Result<std::vector<float>> scales(const char* name) {
     if (H5Lexists(file_, name, H5P_DEFAULT) <= 0) return std::vector<float>();
     ASSIGN_OR_RETURN(auto result, list<float>(name, H5T_NATIVE_FLOAT));
-    if (!std::all_of(result.begin(), result.end(), [](float x) { return std::isfinite(x); }))
+    // Zero times what is not finite is not a number; in vectors.
+    const Eigen::Map<const Eigen::ArrayXf> all(result.data(),
+                                               static_cast<Eigen::Index>(result.size()));
+    if (std::isnan((all * 0).sum()))
       return failure(ErrorCode::kCorrupt, "{}: dataset {} is not finite", where_, name);
     return result;
   }
