@@ -63,39 +63,24 @@ Json notesOf(const CompressSummary& summary) {
   return notes;
 }
 
-// Basis pictures' energies of some blocks, as if they were all: how far the first stage must go.
-struct Pilot {
-  double energy = 0;            // of all pictures
-  std::vector<double> falling;  // of all rows of E
-};
-
-Result<Pilot> pilotOf(const ScratchStack& scratch, const Densifier& densifier,
-                      const BlockLayout& layout) {
+// Of all pictures, as some blocks tell it.
+Result<double> estimateEnergy(const ScratchStack& scratch, const Densifier& densifier,
+                              const BlockLayout& layout) {
   constexpr int kBlocks = 32;
   const int count = std::min(kBlocks, layout.blocks());
   const std::size_t values = scratch.blockValues();
-  const auto inside = std::make_unique<bool[]>(static_cast<std::size_t>(layout.pixelsPerBlock()));
-  std::fill_n(inside.get(), layout.pixelsPerBlock(), true);  // at the rim, zeros add no energy
-  const double scale = static_cast<double>(layout.blocks()) / count;
   std::vector<std::uint16_t> halfs(static_cast<std::size_t>(scratch.images()) * values);
   std::vector<float> columns;
   Densifier::Workspace workspace;
-  Pilot pilot;
+  double energy = 0;
   for (int k = 0; k < count; ++k) {
     const auto block =
         static_cast<int>((2 * k + 1) * static_cast<std::int64_t>(layout.blocks()) / (2 * count));
     RETURN_IF_ERROR(scratch.read(block, halfs.data()));
     RETURN_IF_ERROR(densifier.columns(block, halfs.data(), values, workspace, columns));
-    const auto pixels = static_cast<std::size_t>(layout.pixelsPerBlock());
-    const BlockFactors factors =
-        factoriseBlock(std::span<const float>(columns), {inside.get(), pixels}, {.most = 64});
-    pilot.energy += factors.energy * scale;
-    for (const double energy : factors.rowEnergy)
-      pilot.falling.insert(pilot.falling.end(), static_cast<std::size_t>(std::lround(scale)),
-                           energy);
+    for (const float value : columns) energy += static_cast<double>(value) * value;
   }
-  std::sort(pilot.falling.begin(), pilot.falling.end(), std::greater<>());
-  return pilot;
+  return energy * layout.blocks() / count;
 }
 
 // Noise (see rate_distortion.h) as a part of the energy per pixel. On RealRTI, small and archive
@@ -147,23 +132,9 @@ class Compression {
     model_.singleLamp = options_.singleLamp;
     ASSIGN_OR_RETURN(model_.solidAngles, voronoiSolidAngles(model_.lights));
     describe(densifier);
-    RankRule rule{.most = options_.blockRank.value_or(10)};
-    if (!options_.papersSetting()) {
-      ASSIGN_OR_RETURN(const Pilot pilot, pilotOf(scratch, densifier, layout_));
-      rule = {.most = 0, .threshold = rowThreshold(leastNoise(pilot), layout_.pixelsPerBlock())};
-    }
-    ASSIGN_OR_RETURN(FirstStage first, firstStage(scratch, densifier, layout_, rule,
-                                                  options_.memoryLimitBytes, progress_));
     summary_.stage1Seconds = secondsSince(start);
-
-    start = Clock::now();
-    if (options_.papersSetting()) {
-      RETURN_IF_ERROR(keepRanks(std::move(first)));
-    } else {
-      RETURN_IF_ERROR(chooseByRate(std::move(first)));
-    }
-    summary_.stage2Seconds = secondsSince(start);
-    return {};
+    return options_.papersSetting() ? keepRanks(scratch, densifier)
+                                    : chooseByRate(scratch, densifier);
   }
 
  private:
@@ -191,21 +162,6 @@ class Compression {
   static constexpr double kFinest = 1.0 / (1 << 18);
   static constexpr double kCoarsest = 1.0 / 4;
 
-  // The finest that may be asked for.
-  double leastNoise(const Pilot& pilot) const {
-    const double unit = std::max(pilot.energy, 1e-30) / pixels();
-    if (options_.psnr) return kFinest * unit;
-    if (options_.budgetBytes) {
-      // A basis picture takes 60 bytes or more with its share of U and V.
-      const auto rows = static_cast<std::size_t>(*options_.budgetBytes / 40);
-      const double energy =
-          rows < pilot.falling.size() ? pilot.falling[rows] / layout_.pixelsPerBlock() / 3 : 0;
-      return std::max(energy, kFinest * unit);
-    }
-    // Some blocks only tell the energy so well.
-    return 0.5 * relativeNoise(options_.quality.value_or(Quality::kStandard)) * unit;
-  }
-
   void countFactors(std::int64_t rows, int rank) {
     summary_.rows = rows;
     summary_.rank = rank;
@@ -226,7 +182,19 @@ class Compression {
         second.totalEnergy > 0 ? std::min(1.0, second.keptEnergy / second.totalEnergy) : 1;
   }
 
-  Result<void> keepRanks(FirstStage first) {
+  Result<FirstStage> doFirstStage(const ScratchStack& scratch, const Densifier& densifier,
+                                  const RankRule& rule) {
+    const TimePoint start = Clock::now();
+    auto first = firstStage(scratch, densifier, layout_, rule, options_.memoryLimitBytes, progress_,
+                            options_.watch);
+    summary_.stage1Seconds += secondsSince(start);
+    return first;
+  }
+
+  Result<void> keepRanks(const ScratchStack& scratch, const Densifier& densifier) {
+    ASSIGN_OR_RETURN(FirstStage first,
+                     doFirstStage(scratch, densifier, {.most = options_.blockRank.value_or(10)}));
+    const TimePoint start = Clock::now();
     auto q = static_cast<int>(std::min(first.L.rows(), first.L.cols()));
     const int wanted = options_.rank.value_or(200);
     if (wanted > 0) q = std::min(q, wanted);
@@ -238,70 +206,104 @@ class Compression {
                 std::move(second.V)},
                options_.storage.value_or(Storage::kFloat16));
     countFactors(model_.rows(), q);
-    return measure();
+    RETURN_IF_ERROR(measure());
+    summary_.stage2Seconds = secondsSince(start);
+    return {};
   }
 
-  Result<void> chooseByRate(FirstStage first) {
-    // The first stage kept what the finest noise asks for.
-    const double unit = std::max(first.energy, 1e-30) / pixels();
-    double finest = relativeNoise(options_.quality.value_or(Quality::kStandard)) * unit;
-    const double noisePerEnergy = 1 / rowThreshold(1, layout_.pixelsPerBlock());
-    double nothingLeft = 0;  // at this noise, of any row
-    if (options_.budgetBytes || options_.psnr) {
-      finest = kFinest * unit;
-      if (!first.rowEnergy.empty()) {
-        const auto [least, most] =
-            std::minmax_element(first.rowEnergy.begin(), first.rowEnergy.end());
-        finest = std::max(finest, *least * noisePerEnergy);
-        nothingLeft = *most * noisePerEnergy;
+  Result<void> chooseByRate(const ScratchStack& scratch, const Densifier& densifier) {
+    ASSIGN_OR_RETURN(const double energy, estimateEnergy(scratch, densifier, layout_));
+    const double noise = relativeNoise(options_.quality.value_or(Quality::kStandard));
+    double finest = noise * std::max(energy, 1e-30) / pixels();
+    // Some blocks only tell the energy so well.
+    if (!searches()) finest *= 0.5;
+    // Both stages hold what the finest noise needs. A search that wants a finer one does them
+    // again: most do not, and stages for any noise would cost many times more.
+    for (;;) {
+      ASSIGN_OR_RETURN(
+          FirstStage first,
+          doFirstStage(scratch, densifier,
+                       {.most = 0, .threshold = rowThreshold(finest, layout_.pixelsPerBlock())}));
+      const TimePoint start = Clock::now();
+      unit_ = std::max(first.energy, 1e-30) / pixels();
+      if (!searches()) finest = noise * unit_;
+      const double strongest = first.rowEnergy.empty() ? 0
+                                                       : *std::max_element(first.rowEnergy.begin(),
+                                                                           first.rowEnergy.end());
+      const double nothingLeft = 2 * strongest / rowThreshold(1, layout_.pixelsPerBlock());
+      ASSIGN_OR_RETURN(const RateDistortion stages, bothStages(std::move(first), finest));
+      double wanted = finest;
+      if (searches()) {
+        ASSIGN_OR_RETURN(
+            wanted, search(stages, finest, std::max({kCoarsest * unit_, finest, nothingLeft})));
+      } else {
+        RETURN_IF_ERROR(make(stages, finest));
       }
+      const bool enough = wanted >= finest || finest <= kFinest * unit_;
+      if (enough) RETURN_IF_ERROR(measure());
+      summary_.stage2Seconds += secondsSince(start);
+      if (enough) break;
+      finest = std::max(wanted, kFinest * unit_);
     }
+    ASSIGN_OR_RETURN(summary_.modelBytes, fileBytes());
+    return checkTarget();
+  }
+
+  bool searches() const { return options_.budgetBytes || options_.psnr; }
+
+  // For codes of `finest` noise and coarser.
+  Result<RateDistortion> bothStages(FirstStage first, double finest) {
     const int q = std::max(1, estimateRank(first.L, 0.7 * rankThreshold(finest)));
-    const bool full = q == std::min(first.L.rows(), first.L.cols());
+    // Directions below the threshold need not be exact.
+    const bool few = 2 * q <= std::min(first.L.rows(), first.L.cols());
     ASSIGN_OR_RETURN(
         SecondStage second,
         factoriseAll(std::move(first.L), q,
-                     full ? SecondStageMethod::kExact : SecondStageMethod::kAuto, progress_));
+                     few ? SecondStageMethod::kSpan : SecondStageMethod::kExact, progress_));
     noteEnergies(first.energy, second);
-    const RateDistortion stages(layout_, std::move(first.blockOffset), first.E, first.rowEnergy,
-                                std::move(second.U), std::move(second.V));
-    first.E.resize(0, 0);
-    const auto make = [&](double noise) -> Result<void> {
-      if (progress_.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
-      setPacked(model_, stages.encode(noise));
-      summary_.noise = noise / unit;
-      countFactors(model_.rows(), model_.rank);
-      return {};
-    };
-    // Where few blocks are lit, the finest noise may be above a quarter of the picture's mean.
-    double coarsest = std::max(kCoarsest * unit, 2 * finest);
-    double noise = finest;
+    return RateDistortion(layout_, std::move(first.blockOffset), first.E, first.rowEnergy,
+                          std::move(second.U), std::move(second.V));
+  }
+
+  Result<void> make(const RateDistortion& stages, double noise) {
+    if (progress_.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
+    setPacked(model_, stages.encode(noise));
+    summary_.noise = noise / unit_;
+    countFactors(model_.rows(), model_.rank);
+    return {};
+  }
+
+  // Makes the model that was asked for and returns its noise; or, where a noise finer than `finest`
+  // is called for, a guess at that.
+  Result<double> search(const RateDistortion& stages, double finest, double coarsest) {
+    NoiseTarget target;
     if (options_.budgetBytes) {
-      const auto fits = [&](double trial) {
-        return make(trial).and_then([&] { return fileBytes(); }).map([&](std::size_t bytes) {
-          return bytes <= *options_.budgetBytes;
-        });
-      };
-      ASSIGN_OR_RETURN(bool fit, fits(coarsest));
-      while (!fit && coarsest <= nothingLeft) {
-        coarsest *= 2;
-        ASSIGN_OR_RETURN(fit, fits(coarsest));
-      }
-      noise = coarsest;
-      if (fit) {
-        ASSIGN_OR_RETURN(noise, noiseNearest(finest, coarsest, fits));
-      }
-    } else if (options_.psnr) {
-      ASSIGN_OR_RETURN(noise, noiseNearest(coarsest, finest, [&](double trial) {
-                         return make(trial).and_then([&] { return measure(); }).map([&] {
-                           return summary_.error->srgbPsnr >= *options_.psnr;
-                         });
-                       }));
+      // Bytes in octaves. They fall by half an octave and more with an octave of noise.
+      const double most = std::log2(static_cast<double>(*options_.budgetBytes));
+      target = {std::log2(0.985) + most, most, 0.5, false};
+    } else {
+      target = {*options_.psnr, *options_.psnr + 0.1, 1.0, true};
     }
-    RETURN_IF_ERROR(make(noise));
-    RETURN_IF_ERROR(measure());
-    ASSIGN_OR_RETURN(summary_.modelBytes, fileBytes());
-    return checkTarget();
+    double made = 0;
+    double reached = 0;
+    const auto trial = [&](double noise) -> Result<double> {
+      RETURN_IF_ERROR(make(stages, noise));
+      made = noise;
+      if (options_.budgetBytes) {
+        ASSIGN_OR_RETURN(const std::size_t bytes, fileBytes());
+        reached = std::log2(static_cast<double>(bytes));
+      } else {
+        RETURN_IF_ERROR(measure());
+        reached = summary_.error->srgbPsnr;
+      }
+      return reached;
+    };
+    ASSIGN_OR_RETURN(const double noise, noiseFor(target, finest, finest, coarsest, trial));
+    if (noise != made) {
+      ASSIGN_OR_RETURN(reached, trial(noise));
+    }
+    if (noise > finest || reached >= target.least) return noise;
+    return noise * std::exp2((reached - target.least) / target.perOctave);
   }
 
   Result<void> checkTarget() const {
@@ -341,6 +343,7 @@ class Compression {
   RelightableModel& model_;
   CompressSummary& summary_;
   BlockLayout layout_;
+  double unit_ = 0;  // energy of all pictures per pixel, as the first stage found it
 };
 
 // Into a result that holds the model's provenance.

@@ -189,13 +189,18 @@ void appendColumns(RowMajorMatrixf& matrix, const RowMajorMatrixf& more) {
 
 // Block Krylov iteration: the space is spanned by a sketch of L's rows and its images under L^T L,
 // one after the other; Rayleigh and Ritz find the best of it.
-bool randomisedStage(const LargeMatrix& L, int q, SecondStage& result, Progress& progress) {
+bool randomisedStage(const LargeMatrix& L, int q, SecondStageMethod method, SecondStage& result,
+                     Progress& progress) {
   constexpr Index kPanel = 32;  // what the products like best
   constexpr std::size_t kMostPasses = 41;
   constexpr double kGoodEnough = 0.01;  // dB
+  constexpr Index kDeep = 4;            // products until a span is wide enough
   const Index side = std::min(L.rows(), L.cols());
   // Narrow blocks make a deeper space of as many columns, wide ones better products.
-  const Index width = std::min(std::max(kPanel, (q / 3 + kPanel / 2) / kPanel * kPanel), side);
+  const bool span = method == SecondStageMethod::kSpan;
+  const Index width = std::min(span ? (q + kPanel + kDeep * kPanel - 1) / (kDeep * kPanel) * kPanel
+                                    : std::max(kPanel, (q / 3 + kPanel / 2) / kPanel * kPanel),
+                               side);
   RowMajorMatrixf basis(L.cols(), 0);  // orthonormal columns
   RowMajorMatrixf image(L.rows(), 0);  // L basis
   RowMajorMatrixf next;
@@ -220,7 +225,7 @@ bool randomisedStage(const LargeMatrix& L, int q, SecondStage& result, Progress&
       lastGain = result.keptEnergy == 0 ? 0 : gain;
       result.keptEnergy = kept;
       result.leftToGain = toCome < lost ? -10 * std::log10(1 - toCome / lost) : 10;
-      if (result.leftToGain < kGoodEnough || image.cols() + width > side) {
+      if (span || result.leftToGain < kGoodEnough || image.cols() + width > side) {
         result.U = product(image, axes.rotation.leftCols(q));
         result.V = product(basis, axes.rotation.leftCols(q)).transpose();
         return true;
@@ -279,8 +284,8 @@ Result<SecondStage> factoriseAll(LargeMatrix L, int q, SecondStageMethod method,
     (wide ? result.U : result.V).setIdentity(side, side);
     result.keptEnergy = result.totalEnergy;
   } else if (whole) {
-    whole =
-        result.exact ? exactStage(L, q, result, progress) : randomisedStage(L, q, result, progress);
+    whole = result.exact ? exactStage(L, q, result, progress)
+                         : randomisedStage(L, q, method, result, progress);
   }
   if (!whole || progress.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
   balance(result);

@@ -21,7 +21,12 @@ struct SecondStage {
   double leftToGain = 0;
 };
 
-enum class SecondStageMethod { kAuto, kExact, kRandomised };
+enum class SecondStageMethod {
+  kAuto,
+  kExact,
+  kRandomised,
+  kSpan,  // randomised, and as soon as there are q directions: those well above the last are exact
+};
 
 // The best factorisation of rank q, L ~ U V. Exact, through the Gram matrix of L's smaller side in
 // double precision, or randomised where q is a small part of that side: block Krylov iteration

@@ -5,6 +5,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <optional>
 #include <utility>
 
 #include "pipeline/compress/kernels.h"
@@ -162,12 +163,15 @@ std::shared_ptr<const PackedCode> RateDistortion::encode(double noise) const {
     code->blockOffset.push_back(code->blockOffset.back() + block.integers.rows());
   const Index rows = code->blockOffset.back();
   if (rows == 0) return black(std::move(code));
-  RowMajorMatrixf L(rows, U_.cols());
+  // Columns of U_ that cannot be worth anything stay out; rounding turns the others only a little.
+  Index reach = 1;
+  while (reach < U_.cols() && U_.col(reach).squaredNorm() > 0.7 * rankThreshold(noise)) ++reach;
+  RowMajorMatrixf L(rows, reach);
   tbb::parallel_for(std::size_t{0}, m, [&](std::size_t j) {
     const auto from = blockOffset_[j];
     if (blocks[j].integers.rows() == 0) return;
     L.middleRows(code->blockOffset[j], blocks[j].integers.rows()).noalias() =
-        blocks[j].refit * U_.middleRows(from, blockOffset_[j + 1] - from);
+        blocks[j].refit * U_.block(from, 0, blockOffset_[j + 1] - from, reach);
   });
   const auto order = packedRowOrder(code->blockOffset);
   std::vector<std::size_t> place(order.size());  // in the code
@@ -192,7 +196,8 @@ std::shared_ptr<const PackedCode> RateDistortion::encode(double noise) const {
   const auto q = std::max<Index>(1, (values.array() > rankThreshold(noise)).count());
   const RowMajorMatrixf turn = vectors.leftCols(q).cast<float>();
   const RowMajorMatrixf U = product(MatrixView(L), MatrixView(turn));
-  RowMajorMatrixf V = product(MatrixView(turn).transposed(), MatrixView(V_));
+  RowMajorMatrixf V = product(MatrixView(turn).transposed(),
+                              MatrixView(V_).middleRows(0, static_cast<std::size_t>(reach)));
 
   // U: rows of E and V are of unit length, so that all its numbers are worth the same.
   code->rank = static_cast<int>(q);
@@ -233,19 +238,44 @@ std::shared_ptr<const PackedCode> RateDistortion::encode(double noise) const {
   return code;
 }
 
-Result<double> noiseNearest(double wanted, double safe,
-                            const std::function<Result<bool>(double)>& fits) {
+Result<double> noiseFor(const NoiseTarget& target, double start, double finest, double coarsest,
+                        const std::function<Result<double>(double)>& quantity) {
   constexpr double kClose = 1.0 / 32;  // octaves
-  ASSIGN_OR_RETURN(const bool at, fits(wanted));
-  if (at) return wanted;
-  double bad = std::log2(wanted);
-  double good = std::log2(safe);
-  while (std::abs(good - bad) > kClose) {
-    const double middle = 0.5 * (good + bad);
-    ASSIGN_OR_RETURN(const bool fit, fits(std::exp2(middle)));
-    (fit ? good : bad) = middle;
+  const double aim = 0.5 * (target.least + target.most);
+  struct Trial {
+    double octave;
+    double surplus;  // over `aim`
+  };
+  std::optional<Trial> tooMuch;
+  std::optional<Trial> tooLittle;
+  const double first = std::log2(finest);
+  const double last = std::log2(coarsest);
+  double octave = std::clamp(std::log2(start), first, last);
+  for (int trials = 0;; ++trials) {
+    ASSIGN_OR_RETURN(const double value, quantity(std::exp2(octave)));
+    const bool less = value < target.least;
+    if (!less && value <= target.most) break;
+    if (less ? octave <= first : octave >= last) break;
+    (less ? tooLittle : tooMuch) = Trial{octave, value - aim};
+    if (!tooMuch || !tooLittle) {
+      // Every second step in one direction goes twice as far as it should.
+      octave += (trials % 2 + 1) * (value - aim) / target.perOctave;
+      octave = std::clamp(octave, first, last);
+      continue;
+    }
+    const double width = tooLittle->octave - tooMuch->octave;
+    if (width <= kClose) {
+      octave = (target.overshoot ? tooMuch : tooLittle)->octave;
+      break;
+    }
+    // False position; every third step halves, as one end may stay where it is.
+    const double part =
+        trials % 3 == 2
+            ? 0.5
+            : std::clamp(tooMuch->surplus / (tooMuch->surplus - tooLittle->surplus), 0.05, 0.95);
+    octave = tooMuch->octave + part * width;
   }
-  return std::exp2(good);
+  return std::exp2(octave);
 }
 
 }  // namespace lightsketch

@@ -49,10 +49,18 @@ class RateDistortion {
   RowMajorMatrixf V_;  // q x 3n, orthonormal rows, opponent colours
 };
 
-// The noise closest to `wanted`, to a 32nd of an octave, for which `fits` holds, by bisection
-// between `wanted` and `safe`; `safe` if there is none. If `fits` holds for a noise, it holds from
-// there to `safe`.
-Result<double> noiseNearest(double wanted, double safe,
-                            const std::function<Result<bool>(double)>& fits);
+// What a search for a noise is after: a quantity that falls with the noise.
+struct NoiseTarget {
+  double least = 0;  // anything from here to `most` will do
+  double most = 0;
+  double perOctave = 1;   // what an octave of noise takes from it, roughly
+  bool overshoot = true;  // where it jumps across: more than `most` rather than less than `least`
+};
+
+// The noise, from `finest` to `coarsest`, for which `quantity` is what the target says, or comes
+// closest from the side it says, to a 32nd of an octave; `finest` or `coarsest` where it lies
+// beyond. By false position and bisection from `start`.
+Result<double> noiseFor(const NoiseTarget& target, double start, double finest, double coarsest,
+                        const std::function<Result<double>(double)>& quantity);
 
 }  // namespace lightsketch

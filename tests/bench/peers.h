@@ -41,8 +41,8 @@ LightBasis sphericalHarmonics(int bands);
 Result<std::vector<Peer>> fitBases(const LightStack& stack, std::span<const LightBasis> bases);
 
 // The best basis pictures of the whole picture that fit into `bytes` as floats: A ~ U V with U
-// (pixels x q) and V (q x 3n). Randomised, with a power iteration: three passes. Between the
-// lights V is interpolated as our own models are.
+// (pixels x q) and V (q x 3n). In the span that some thousands of pixels show: two passes. Between
+// the lights V is interpolated as our own models are.
 Result<Peer> fitGlobalPca(const LightStack& stack, std::uint64_t bytes);
 
 // Errors pooled over pictures, pixels and channels.

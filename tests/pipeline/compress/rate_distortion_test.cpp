@@ -127,14 +127,39 @@ TEST(RateDistortion, WhatIsNotWorthItsBitsIsDropped) {
   EXPECT_NEAR(known.distortion(*nothing), known.factors.U.cast<double>().squaredNorm(), 1e-2);
 }
 
-TEST(RateDistortion, SearchEndsAtTheEdgeOfWhatFits) {
-  const auto below = [](double noise) -> Result<bool> { return noise <= 0.3; };
-  const auto above = [](double noise) -> Result<bool> { return noise >= 0.3; };
-  EXPECT_LE(noiseNearest(8, 1e-6, below).value(), 0.3);
-  EXPECT_GE(noiseNearest(8, 1e-6, below).value(), 0.3 * std::exp2(-1.0 / 32));
-  EXPECT_GE(noiseNearest(1e-6, 8, above).value(), 0.3);
-  EXPECT_LE(noiseNearest(1e-6, 8, above).value(), 0.3 * std::exp2(1.0 / 32));
-  EXPECT_EQ(noiseNearest(0.1, 1e-6, below).value(), 0.1);
+// Of a quantity that falls smoothly: within the window, from either side, in few trials.
+TEST(RateDistortion, SearchEndsInTheWindow) {
+  for (const double start : {1e-6, 1e-3, 2.0}) {
+    int trials = 0;
+    const auto bytes = [&](double noise) -> Result<double> {
+      ++trials;
+      return 20 - 0.7 * std::log2(noise) + 0.01 * std::pow(std::log2(noise), 2);
+    };
+    const auto found = noiseFor({29.98, 30, 0.5, false}, start, 1e-6, 8, bytes);
+    ASSERT_TRUE(found);
+    const double reached = bytes(*found).value();
+    EXPECT_GE(reached, 29.98);
+    EXPECT_LE(reached, 30);
+    EXPECT_LE(trials, 9);
+  }
+}
+
+// Where the quantity jumps across the window: to the side that was asked for.
+TEST(RateDistortion, SearchEndsAtTheEdgeOfAJump) {
+  const auto jump = [](double noise) -> Result<double> { return noise < 0.3 ? 40 : 20; };
+  const double above = noiseFor({29.9, 30, 0.5, false}, 1e-6, 1e-6, 8, jump).value();
+  EXPECT_GE(above, 0.3);
+  EXPECT_LE(above, 0.3 * std::exp2(1.0 / 32));
+  const double below = noiseFor({29.9, 30, 0.5, true}, 1e-6, 1e-6, 8, jump).value();
+  EXPECT_LT(below, 0.3);
+  EXPECT_GE(below, 0.3 * std::exp2(-1.0 / 32));
+}
+
+TEST(RateDistortion, SearchEndsAtItsBounds) {
+  const auto much = [](double) -> Result<double> { return 40; };
+  const auto little = [](double) -> Result<double> { return 10; };
+  EXPECT_NEAR(noiseFor({29, 30, 1, true}, 0.1, 1e-6, 8, much).value(), 8, 1e-9);
+  EXPECT_NEAR(noiseFor({29, 30, 1, true}, 0.1, 1e-6, 8, little).value(), 1e-6, 1e-15);
 }
 
 class Targets : public ::testing::Test {
@@ -223,7 +248,8 @@ TEST(Budget, IsKeptWhereAllTheEnergyIsInOneBlock) {
   EXPECT_GT(psnr, first + 5);
 }
 
-// A 32nd of an octave of noise is 0.1 dB at most.
+// A tenth of a decibel is what the search is content with, a 32nd of an octave of noise at most
+// another.
 TEST_F(Targets, PsnrIsKeptAndNotExceededMuch) {
   const auto [model, summary] = made({.psnr = 36});
   EXPECT_GE(summary.error->srgbPsnr, 36);
