@@ -381,7 +381,7 @@ class AravisCamera final : public Camera {
   }
 
   Result<void> setFormat(PixelFormat format);
-  Result<void> setRegion(const Region& region);
+  Result<void> setRegion(const Region& wanted);
   Result<void> setExposure(std::optional<double> seconds, std::optional<double> gainDb);
   Result<void> setFrameRate(double framesPerSecond);
   Result<CameraSettings> settings() const;
@@ -414,11 +414,12 @@ Result<void> AravisCamera::setFormat(PixelFormat format) {
                  info_.address, name, reason, offered);
 }
 
-Result<void> AravisCamera::setRegion(const Region& region) {
+Result<void> AravisCamera::setRegion(const Region& wanted) {
   GlibError error;
   int width = 0, height = 0;
   arv_camera_get_sensor_size(camera_.get(), &width, &height, error.out());
   if (error) return failed("read the sensor's size", error);
+  const Region region = wanted == Region{} ? Region{0, 0, width, height} : wanted;
   if (region.x < 0 || region.y < 0 || region.width < 1 || region.height < 1 ||
       region.x > width - region.width || region.y > height - region.height) {
     return failure(ErrorCode::kInvalidArgument,

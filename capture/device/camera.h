@@ -26,7 +26,7 @@ struct CameraInfo {
 // What to ask for; absent fields are left as the camera has them.
 struct CameraSettings {
   std::optional<PixelFormat> format;
-  std::optional<Region> region;
+  std::optional<Region> region;  // Region{}: the whole sensor
   std::optional<double> exposureSeconds;
   std::optional<double> gainDb;
   std::optional<double> framesPerSecond;

@@ -2,8 +2,13 @@
 
 #include "ui/app/page.h"
 
+class QTabWidget;
+
 namespace lightsketch {
 
+class BoardBox;
+
+// Lens, poses and response, guided.
 class CalibratePage final : public Page {
   Q_OBJECT
  public:
@@ -12,6 +17,10 @@ class CalibratePage final : public Page {
   QString purpose() const override;
   void entered() override;
   void left() override;
+  void begin() override;
+
+ private:
+  QTabWidget* steps_;
 };
 
 }  // namespace lightsketch

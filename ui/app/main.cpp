@@ -38,7 +38,7 @@ int main(int argc, char** argv) {
   const QCommandLineOption frames(
       "rig-frames", "Simulated rig: serve so many frames rendered beforehand, in a loop.", "N",
       "0");
-  const QCommandLineOption rate("rig-rate", "Simulated rig: frames a second.", "F", "12");
+  const QCommandLineOption rate("rig-rate", "Simulated rig: frames a second.", "F");
   const QCommandLineOption addresses(
       "rig-addresses", "Simulated rig: loopback addresses of scene and source camera.", "A,B");
   parser.addOptions({page, begin, seconds, stats, frames, rate, addresses});
@@ -48,8 +48,10 @@ int main(int argc, char** argv) {
   RigSetup setup = workspace.rig().setup();
   if (setup.simulated) {
     setup.rig.prerenderedFrames = parser.value(frames).toInt();
-    setup.rig.framesPerSecond = parser.value(rate).toDouble();
-    setup.scene.framesPerSecond = setup.source.framesPerSecond = setup.rig.framesPerSecond;
+    if (parser.isSet(rate)) {
+      setup.rig.framesPerSecond = parser.value(rate).toDouble();
+      setup.scene.framesPerSecond = setup.source.framesPerSecond = setup.rig.framesPerSecond;
+    }
     if (const QStringList two = parser.value(addresses).split(','); two.size() == 2) {
       setup.rig.sceneAddress = two[0].toStdString();
       setup.rig.sourceAddress = two[1].toStdString();

@@ -73,13 +73,18 @@ class RigLink::Worker {
   }
   void dropRig() { rig_.reset(); }
 
-  Result<void> open(const RigSetup& setup) {
+  // What the two cameras, scene and source, really use.
+  Result<std::pair<CameraSettings, CameraSettings>> open(const RigSetup& setup) {
     close();
     RETURN_IF_ERROR(ensureRig(setup));
-    RETURN_IF_ERROR(openOne(link_.sceneAddress(setup), setup.scene, link_.sceneView_, scene_));
-    auto opened = openOne(link_.sourceAddress(setup), setup.source, link_.sourceView_, source_);
-    if (!opened) close();
-    return opened;
+    auto scene = openOne(link_.sceneAddress(setup), setup.scene, link_.sceneView_, scene_);
+    if (!scene) return tl::unexpected<Error>(scene.error());
+    auto source = openOne(link_.sourceAddress(setup), setup.source, link_.sourceView_, source_);
+    if (!source) {
+      close();
+      return tl::unexpected<Error>(source.error());
+    }
+    return std::pair(*scene, *source);
   }
   void close() {
     for (auto* camera : {&scene_, &source_}) {
@@ -91,7 +96,20 @@ class RigLink::Worker {
     link_.sourceView_.clear();
   }
   Camera* scene() const { return scene_.get(); }
-  Camera* source() const { return source_.get(); }
+
+  // Nothing while it is closed. Format, region and rate cannot change while it streams.
+  std::optional<Result<CameraSettings>> configure(bool scene, const CameraSettings& settings) {
+    Camera* camera = scene ? scene_.get() : source_.get();
+    if (!camera) return std::nullopt;
+    if (!settings.format && !settings.region && !settings.framesPerSecond) {
+      return camera->configure(settings);
+    }
+    camera->stop();
+    const auto now = camera->configure(settings);
+    if (const auto started = start(*camera); !started)
+      return tl::unexpected<Error>(started.error());
+    return now;
+  }
 
   std::pair<StreamStatistics, StreamStatistics> statistics() const {
     const std::lock_guard lock(statisticsMutex_);
@@ -110,19 +128,24 @@ class RigLink::Worker {
   }
 
  private:
-  Result<void> openOne(const std::string& address, const CameraSettings& settings, LiveView& view,
-                       std::unique_ptr<Camera>& into) {
+  Result<CameraSettings> openOne(const std::string& address, const CameraSettings& settings,
+                                 LiveView& view, std::unique_ptr<Camera>& into) {
     ASSIGN_OR_RETURN(auto camera, openCamera(address));
-    RETURN_IF_ERROR(camera->configure(settings));
+    ASSIGN_OR_RETURN(const CameraSettings now, camera->configure(settings));
     into = tapped(std::move(camera), view);
-    return into->start([](Frame&&) {},
-                       [link = &link_](const Error& error) {
-                         QMetaObject::invokeMethod(link, [link, text = error.message] {
-                           if (link->state_ == State::kLive) {
-                             link->apply(State::kFailed, QString::fromStdString(text));
-                           }
-                         });
-                       });
+    RETURN_IF_ERROR(start(*into));
+    return now;
+  }
+
+  Result<void> start(Camera& camera) {
+    return camera.start([](Frame&&) {},
+                        [link = &link_](const Error& error) {
+                          QMetaObject::invokeMethod(link, [link, text = error.message] {
+                            if (link->state_ == State::kLive) {
+                              link->apply(State::kFailed, QString::fromStdString(text));
+                            }
+                          });
+                        });
   }
 
   void run(const std::stop_token& stop) {
@@ -197,12 +220,14 @@ void RigLink::watch(bool on) {
 void RigLink::reopen() {
   if (state_ == State::kLent || state_ == State::kOpening) return;
   apply(State::kOpening, {});
-  worker_->post([this, setup = setup_] {
+  worker_->post([this, setup = setup_, attempt = ++attempt_] {
     const auto opened = worker_->open(setup);
-    QMetaObject::invokeMethod(this, [this, opened] {
-      if (state_ != State::kOpening) return;
+    QMetaObject::invokeMethod(this, [this, opened, attempt] {
+      if (state_ != State::kOpening || attempt != attempt_) return;
       if (opened) {
         apply(State::kLive, {});
+        tell(true, opened->first);
+        tell(false, opened->second);
       } else {
         apply(State::kFailed, QString::fromStdString(opened.error().message));
       }
@@ -210,26 +235,36 @@ void RigLink::reopen() {
   });
 }
 
-void RigLink::configure(CameraSettings& remembered, const CameraSettings& settings,
-                        Camera* (Worker::*which)() const, const QString& name) {
-  overlay(remembered, settings);
+void RigLink::setCalibration(const std::filesystem::path& sourceModel,
+                             const std::filesystem::path& rigGeometry,
+                             const std::filesystem::path& sceneResponse) {
+  setup_.sourceModel = sourceModel;
+  setup_.rigGeometry = rigGeometry;
+  setup_.sceneResponse = sceneResponse;
   Q_EMIT setupChanged();
-  worker_->post([this, settings, which, name] {
-    Camera* camera = (worker_.get()->*which)();
-    if (!camera) return;
-    const auto now = camera->configure(settings);
-    const QString answer = now ? describe(*now) : QString::fromStdString(now.error().message);
-    QMetaObject::invokeMethod(
-        this, [this, name, answer, ok = now.has_value()] { Q_EMIT configured(name, answer, ok); });
+}
+
+void RigLink::configure(bool scene, const CameraSettings& settings) {
+  worker_->post([this, scene, settings] {
+    const auto now = worker_->configure(scene, settings);
+    QMetaObject::invokeMethod(this, [this, scene, settings, now] {
+      if (!now || *now) {
+        overlay(scene ? setup_.scene : setup_.source, settings);
+        Q_EMIT setupChanged();
+      }
+      if (now) tell(scene, *now);
+    });
   });
 }
 
-void RigLink::configureScene(const CameraSettings& settings) {
-  configure(setup_.scene, settings, &Worker::scene, tr("scene camera"));
+void RigLink::tell(bool scene, const Result<CameraSettings>& now) {
+  if (now) (scene ? sceneSettings_ : sourceSettings_) = *now;
+  Q_EMIT configured(scene, now ? describe(*now) : QString::fromStdString(now.error().message),
+                    now.has_value());
 }
-void RigLink::configureSource(const CameraSettings& settings) {
-  configure(setup_.source, settings, &Worker::source, tr("source camera"));
-}
+
+void RigLink::configureScene(const CameraSettings& settings) { configure(true, settings); }
+void RigLink::configureSource(const CameraSettings& settings) { configure(false, settings); }
 
 StreamStatistics RigLink::sceneStatistics() const { return worker_->statistics().first; }
 StreamStatistics RigLink::sourceStatistics() const { return worker_->statistics().second; }
@@ -315,6 +350,7 @@ void RigLink::apply(State state, const QString& trouble) {
   if (state_ == state && trouble_ == trouble) return;
   state_ = state;
   trouble_ = trouble;
+  if (state != State::kLive) sceneSettings_ = sourceSettings_ = {};
   Q_EMIT stateChanged();
 }
 

@@ -52,10 +52,17 @@ class RigLink final : public QObject {
   void watch(bool on);
   // A closed or failed link is tried again.
   void reopen();
-  // Exposure, gain and rate of a running camera; the answer comes as configured(). Also remembered
-  // in setup().
+  // Calibration files that are used from now on; the cameras go on as they are.
+  void setCalibration(const std::filesystem::path& sourceModel,
+                      const std::filesystem::path& rigGeometry,
+                      const std::filesystem::path& sceneResponse);
+  // Settings of a running camera, which pauses for some of them; the answer comes as configured().
+  // What it accepts, or what nobody is there to refuse, is remembered in setup().
   void configureScene(const CameraSettings& settings);
   void configureSource(const CameraSettings& settings);
+  // What the cameras really use; empty while they are closed or lent.
+  const CameraSettings& sceneSettings() const { return sceneSettings_; }
+  const CameraSettings& sourceSettings() const { return sourceSettings_; }
 
   State state() const { return state_; }
   const QString& trouble() const { return trouble_; }  // of kFailed
@@ -84,22 +91,25 @@ class RigLink final : public QObject {
   void found();
   void stateChanged();
   void setupChanged();
-  // What the camera really uses now, or why it does not.
-  void configured(const QString& camera, const QString& answer, bool ok);
+  // What the camera really uses now (also when it was opened), or why it does not.
+  void configured(bool sceneCamera, const QString& answer, bool ok);
 
  private:
   class Worker;
   static std::string sceneAddress(const RigSetup& setup);
   static std::string sourceAddress(const RigSetup& setup);
-  void configure(CameraSettings& remembered, const CameraSettings& settings,
-                 Camera* (Worker::*which)() const, const QString& name);
+  void configure(bool scene, const CameraSettings& settings);
+  void tell(bool scene, const Result<CameraSettings>& now);
   void apply(State state, const QString& trouble);
 
   RigSetup setup_;
   std::vector<CameraInfo> cameras_;
   State state_ = State::kClosed;
   QString trouble_;
+  CameraSettings sceneSettings_;
+  CameraSettings sourceSettings_;
   int watchers_ = 0;
+  int attempt_ = 0;  // to open; what comes of an earlier one counts no more
   LiveView sceneView_;
   LiveView sourceView_;
   std::unique_ptr<Worker> worker_;

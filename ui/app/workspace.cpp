@@ -3,6 +3,8 @@
 #include <QDir>
 #include <QFileInfo>
 
+#include "ui/app/rig_setup_settings.h"
+
 namespace lightsketch {
 namespace {
 
@@ -26,6 +28,14 @@ Workspace::Workspace(const QString& settingsFile, QObject* parent) : QObject(par
                   ? std::make_unique<QSettings>("lightsketch", "lightsketch-app")
                   : std::make_unique<QSettings>(settingsFile, QSettings::IniFormat);
   rig_ = std::make_unique<RigLink>();
+  rig_->setSetup(loadRigSetup(*settings_));
+  connect(rig_.get(), &RigLink::setupChanged, this,
+          [this] { saveRigSetup(*settings_, rig_->setup()); });
+  connect(rig_.get(), &RigLink::stateChanged, this, [this] {
+    if (rig_->state() != RigLink::State::kFailed) return withdraw("camera");
+    say({"camera", Level::kError, tr("No pictures: %1").arg(rig_->trouble()), tr("Reconnect"),
+         [this] { rig_->reopen(); }});
+  });
 }
 
 Workspace::~Workspace() { cancelAll(); }

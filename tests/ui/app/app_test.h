@@ -14,7 +14,9 @@ namespace lightsketch {
 
 class AppTest {
  public:
-  AppTest() : workspace_(folder_.filePath("settings.ini")), window_(workspace_) {
+  // `setup` is there before the first page looks for cameras.
+  explicit AppTest(const RigSetup& setup = {})
+      : workspace_(folder_.filePath("settings.ini")), window_(with(setup)) {
     window_.resize(1280, 720);
     window_.show();
     (void)QTest::qWaitForWindowExposed(&window_);
@@ -42,6 +44,11 @@ class AppTest {
   }
 
  private:
+  Workspace& with(const RigSetup& setup) {
+    workspace_.rig().setSetup(setup);
+    return workspace_;
+  }
+
   QTemporaryDir folder_;
   Workspace workspace_;
   MainWindow window_;
