@@ -1,10 +1,787 @@
 #include "ui/app/sketch_page.h"
 
-namespace lightsketch {
+#include <QFontMetrics>
+#include <QHBoxLayout>
+#include <QLabel>
+#include <QPushButton>
+#include <QScrollArea>
+#include <QShortcut>
+#include <QStackedWidget>
+#include <QTimer>
+#include <QToolButton>
+#include <QUndoCommand>
+#include <QVBoxLayout>
+#include <algorithm>
+#include <cmath>
 
-SketchPage::SketchPage(Workspace& workspace, QWidget* parent) : Page(workspace, parent) {}
-QString SketchPage::purpose() const { return {}; }
-void SketchPage::entered() {}
-void SketchPage::left() {}
+#include "capture/frame/direction.h"
+#include "pipeline/job/jobs.h"
+#include "ui/app/frame_view.h"
+#include "ui/app/sketch_edits.h"
+#include "ui/app/sketch_options.h"
+#include "ui/app/workspace.h"
+
+namespace lightsketch {
+namespace {
+
+using Eigen::Vector3d;
+
+constexpr int kTickMilliseconds = 200;
+constexpr double kRefusedDotSeconds = 1.5;
+constexpr double kPathSteps = 120;         // on the hemisphere
+constexpr double kRefusedToneSeconds = 1;  // between two
+constexpr double kLampLostSeconds = 0.7;   // until it is said
+constexpr double kGoodSeconds = 0.25;      // that a kept frame is shown
+constexpr double kReconnectSeconds = 1800;
+constexpr double kThereDegrees = 3;  // nearer than this there is no arrow
+
+enum Side { kOptionsSide, kTallySide, kLessonsSide };
+
+class TakeBack final : public QUndoCommand {
+ public:
+  TakeBack(const QString& text, std::function<void()> undo)
+      : QUndoCommand(text), undo_(std::move(undo)) {}
+  void undo() override {
+    undo_();
+    setObsolete(true);  // what was taken back is shot again, not brought back
+  }
+
+ private:
+  std::function<void()> undo_;
+};
+
+QString minutes(double seconds) {
+  const int whole = static_cast<int>(std::ceil(seconds));
+  return QString("%1:%2").arg(whole / 60).arg(whole % 60, 2, 10, QChar('0'));
+}
+
+QLabel* caption(const QString& text) {
+  auto* label = new QLabel(text);
+  label->setForegroundRole(QPalette::PlaceholderText);
+  return label;
+}
+
+}  // namespace
+
+SketchPage::SketchPage(Workspace& workspace, QWidget* parent) : Page(workspace, parent) {
+  auto* column = new QVBoxLayout(this);
+  column->setContentsMargins(10, 8, 10, 8);
+  column->setSpacing(6);
+  prompt_ = new SketchPrompt;
+  prompt_->setObjectName("prompt");
+  column->addWidget(prompt_);
+  column->addWidget(buildViews(), 1);
+  column->addWidget(buildButtons());
+
+  auto* space = new QShortcut(Qt::Key_Space, this);
+  space->setContext(Qt::WidgetWithChildrenShortcut);
+  connect(space, &QShortcut::activated, this, &SketchPage::begin);
+  auto* ticker = new QTimer(this);
+  connect(ticker, &QTimer::timeout, this, &SketchPage::tick);
+  ticker->start(kTickMilliseconds);
+
+  connect(wishes_, &SketchOptions::wishChanged, this, [this] {
+    outcome_.clear();
+    replan();
+  });
+  connect(wishes_, &SketchOptions::goalChanged, this, &SketchPage::refreshPrompt);
+  RigLink& rig = workspace.rig();
+  connect(&rig, &RigLink::stateChanged, this, [this] {
+    const RigLink::State now = this->workspace().rig().state();
+    if (now == RigLink::State::kLive) {
+      replan();  // a simulated rig brings its calibration
+      if (phase_ == Phase::kWaitingForCameras) record();
+    } else if (now == RigLink::State::kFailed && phase_ == Phase::kWaitingForCameras) {
+      phase_ = Phase::kIdle;
+    }
+    refreshControls();
+    refreshPrompt();
+  });
+  connect(&rig, &RigLink::setupChanged, this, &SketchPage::replan);
+  connect(&workspace, &Workspace::sketchChanged, this, [this] {
+    if (phase_ == Phase::kIdle) wishes_->setFolder(this->workspace().sketch());
+  });
+  connect(&workspace, &Workspace::sketchEdited, this, &SketchPage::replan);
+  connect(hemisphere_, &HemisphereView::regionSelected, this, &SketchPage::deleteRegion);
+  connect(hemisphere_, &HemisphereView::drawn, this, &SketchPage::dotsDrawn);
+  connect(scene_, &FrameView::drawn, this, [this] { ++sceneDrawn_; });
+  connect(source_, &FrameView::drawn, this, [this] { ++sourceDrawn_; });
+  replan();
+  refreshControls();
+  refreshPrompt();
+}
+
+SketchPage::~SketchPage() {
+  if (session_) session_->close();
+}
+
+QString SketchPage::purpose() const {
+  return tr("Wave the lamp around the subject; every new light direction becomes a frame");
+}
+
+QWidget* SketchPage::buildViews() {
+  auto* views = new QWidget;
+  auto* row = new QHBoxLayout(views);
+  row->setContentsMargins(0, 0, 0, 0);
+  row->setSpacing(10);
+  RigLink& rig = workspace().rig();
+  source_ = new FrameView(rig.sourceView());
+  source_->setObjectName("sourceView");
+  source_->setToolTip(
+      tr("The source camera, as in a looking glass. Blue: the field that is calibrated. The lamp's "
+         "uncertainty is drawn fifty times enlarged."));
+  source_->setOverlay([this](QPainter& painter, const QTransform& widgetFromFrame) {
+    overlay_.paint(painter, widgetFromFrame);
+  });
+  hemisphere_ = new HemisphereView;
+  hemisphere_->setObjectName("hemisphere");
+  hemisphere_->setAccessibleName(tr("Light directions, as seen standing before the subject"));
+  hemisphere_->setSelectsRegions(true);
+  const auto stack = [&](QWidget* view, QLabel* below, int stretch) {
+    auto* column = new QVBoxLayout;
+    column->setSpacing(3);
+    column->addWidget(view, 1);
+    column->addWidget(below);
+    row->addLayout(column, stretch);
+  };
+  const auto spot = [](SketchDot dot, const QString& sign) {
+    return QString("<span style='color:%1'>%2</span>").arg(colourOf(dot).name(), sign);
+  };
+  stack(source_,
+        caption(tr("%1 captured  %2 to do  %3 refused  %4 the lamp's way")
+                    .arg(spot(SketchDot::kCaptured, "\u25cf"), spot(SketchDot::kOpen, "\u25cb"),
+                         spot(SketchDot::kRefused, "\u2715"),
+                         "<span style='color:#ffa826'>\u2014</span>")),
+        5);
+  stack(hemisphere_, caption(tr("Seen from the camera. Drag a circle to delete and shoot again.")),
+        5);
+  row->addWidget(buildSide(), 3);
+  return views;
+}
+
+QWidget* SketchPage::buildSide() {
+  auto* side = new QWidget;
+  side->setMinimumWidth(250);
+  auto* column = new QVBoxLayout(side);
+  column->setContentsMargins(0, 0, 0, 0);
+  column->setSpacing(8);
+  scene_ = new FrameView(workspace().rig().sceneView());
+  scene_->setObjectName("sceneView");
+  scene_->setToolTip(tr("The scene camera: what is recorded"));
+  column->addWidget(scene_, 3);
+
+  side_ = new QStackedWidget;
+  wishes_ = new SketchOptions(workspace());
+  side_->insertWidget(kOptionsSide, wishes_);
+  tally_ = new QLabel;
+  tally_->setObjectName("tally");
+  tally_->setWordWrap(true);
+  tally_->setAlignment(Qt::AlignTop);
+  side_->insertWidget(kTallySide, tally_);
+  lessons_ = new QLabel;
+  lessons_->setObjectName("lessons");
+  lessons_->setWordWrap(true);
+  lessons_->setAlignment(Qt::AlignTop);
+  lessons_->setTextInteractionFlags(Qt::TextSelectableByMouse);
+  auto* scroll = new QScrollArea;
+  scroll->setFrameShape(QFrame::NoFrame);
+  scroll->setWidgetResizable(true);
+  scroll->setWidget(lessons_);
+  side_->insertWidget(kLessonsSide, scroll);
+  column->addWidget(side_, 4);
+  return side;
+}
+
+QWidget* SketchPage::buildButtons() {
+  auto* bar = new QWidget;
+  auto* row = new QHBoxLayout(bar);
+  row->setContentsMargins(0, 0, 0, 0);
+  const auto button = [&](const QString& name, const QString& text, const QString& tip,
+                          auto pressed) {
+    auto* made = new QPushButton(text);
+    made->setObjectName(name);
+    made->setToolTip(tip);
+    made->setMinimumHeight(36);
+    made->setFocusPolicy(Qt::TabFocus);
+    connect(made, &QPushButton::clicked, this, pressed);
+    row->addWidget(made);
+    return made;
+  };
+  record_ = button("record", tr("&Record"), {}, &SketchPage::begin);
+  record_->setMinimumWidth(150);
+  QFont bold = record_->font();
+  bold.setBold(true);
+  record_->setFont(bold);
+  pause_ = button("pause", tr("&Pause"),
+                  tr("Frames are let go until you go on; the cameras keep running (Space)"),
+                  &SketchPage::togglePause);
+  stop_ =
+      button("stop", tr("&Stop"), tr("End the recording; all kept frames stay"), &SketchPage::stop);
+  auto* undo = new QToolButton;
+  undo->setObjectName("undo");
+  undo->setMinimumHeight(36);
+  QAction* action = workspace().undo().createUndoAction(undo, tr("Undo"));
+  action->setToolTip(tr("Takes the last frame or deletion back, one after another (Ctrl+Z)"));
+  undo->setDefaultAction(action);
+  row->addWidget(undo);
+  mute_ = new QToolButton;
+  mute_->setObjectName("mute");
+  mute_->setCheckable(true);
+  mute_->setMinimumHeight(36);
+  mute_->setText(tr("Mute"));
+  mute_->setToolTip(
+      tr("No tones. High: a frame was kept. Low: refused. Falling: the lamp is not seen (Ctrl+M)"));
+  mute_->setShortcut(QKeySequence("Ctrl+M"));
+  mute_->setChecked(workspace().settings().value("sketch/muted", false).toBool());
+  sounds_.setMuted(mute_->isChecked());
+  connect(mute_, &QToolButton::toggled, this, [this](bool on) {
+    sounds_.setMuted(on);
+    workspace().settings().setValue("sketch/muted", on);
+  });
+  row->addWidget(mute_);
+  row->addStretch(1);
+  new_ = button("newSketch", tr("&New sketch"), tr("Record to a new folder"), [this] {
+    wishes_->setNewFolder();
+    side_->setCurrentIndex(kOptionsSide);
+  });
+  develop_ = button("developSketch", tr("De&velop"),
+                    tr("Make a picture of the sketch that any light can be thrown on"), [this] {
+                      if (workspace().sketch() != wishes_->folder()) {
+                        workspace().setSketch(wishes_->folder());
+                      }
+                      workspace().show("develop");
+                    });
+  develop_->setMinimumWidth(110);
+  return bar;
+}
+
+void SketchPage::entered() {
+  workspace().rig().watch(true);
+  if (phase_ == Phase::kIdle) replan();
+}
+
+void SketchPage::left() { workspace().rig().watch(false); }
+
+// --- What is wanted and what is there -----------------------------------------------------------
+
+void SketchPage::replan() {
+  if (phase_ != Phase::kIdle && phase_ != Phase::kWaitingForCameras) return;
+  planAgain_ = planning_;
+  if (planning_) return;
+  planning_ = true;
+  SketchWish wish = wishes_->wish();
+  wish.sourceModel = workspace().rig().sourceModel();
+  wish.rigGeometry = workspace().rig().rigGeometry();
+  // Not through the workspace: it is over before anybody could read its name.
+  auto plan = std::make_shared<Result<SketchPlan>>();
+  auto* task = new Task(
+      {},
+      [wish, plan](Progress&, std::stop_token) -> Result<JobResult> {
+        *plan = planSketch(wish);
+        return JobResult{};
+      },
+      this);
+  connect(task, &Task::finished, this, [this, task, wish, plan] {
+    task->deleteLater();
+    planning_ = false;
+    takePlan(wish, *plan);
+    if (planAgain_) replan();
+  });
+}
+
+void SketchPage::takePlan(const SketchWish& wish, const Result<SketchPlan>& plan) {
+  if (phase_ != Phase::kIdle && phase_ != Phase::kWaitingForCameras) return;
+  planTrouble_.clear();
+  if (!plan) {
+    planTrouble_ = QString::fromStdString(plan.error().message);
+    wishes_->showTrouble(planTrouble_);
+    refreshControls();
+    refreshPrompt();
+    return;
+  }
+  // A set that was imported cannot be gone on with.
+  if (!plan->exists && wish.folder == workspace().sketch()) {
+    if (wish.folder == wishes_->folder()) wishes_->setNewFolder();
+    return;
+  }
+  plan_ = *plan;
+  wishes_->showPlan(plan_);
+  overlay_.setPlan(plan_);
+  source_->setFlipped(plan_.flipLeftRight, plan_.flipUpsideDown);
+  hemisphere_->setWholeSphere(plan_.wholeSphere);
+  hemisphere_->setArrow({}, {});
+  hemisphere_->setPath({}, {});
+  std::vector<HemisphereView::Dot> dots;
+  dots_.clear();
+  const double radius = std::clamp(60.0 / std::sqrt(plan_.grid->size()), 1.5, 5.0);
+  for (const Vector3d& direction : plan_.grid->directions()) {
+    dots.push_back({direction, colourOf(SketchDot::kOpen), radius, true, {}});
+    dots_.push_back(SketchDot::kOpen);
+  }
+  for (std::size_t i = 0; i < dots.size(); ++i) {
+    if (!plan_.captured[i]) continue;
+    dots_[i] = SketchDot::kCaptured;
+    dots[i].colour = colourOf(SketchDot::kCaptured);
+    dots[i].hollow = false;
+    overlay_.setDot(static_cast<int>(i), SketchDot::kCaptured);
+  }
+  hemisphere_->setDots(std::move(dots));
+  source_->update();
+  refreshControls();
+  refreshPrompt();
+}
+
+void SketchPage::showDot(int index, SketchDot dot) {
+  auto& shown = dots_.at(static_cast<std::size_t>(index));
+  if (shown == dot) return;
+  shown = dot;
+  HemisphereView::Dot changed = hemisphere_->dots()[static_cast<std::size_t>(index)];
+  changed.colour = colourOf(dot);
+  changed.hollow = dot == SketchDot::kOpen;
+  if (dot != SketchDot::kRefused) changed.tip.clear();
+  hemisphere_->setDot(index, changed);
+  overlay_.setDot(index, dot);
+}
+
+void SketchPage::showCaptured(const std::vector<bool>& captured) {
+  for (std::size_t i = 0; i < std::min(captured.size(), dots_.size()); ++i) {
+    const int index = static_cast<int>(i);
+    if (captured[i]) {
+      refused_.erase(index);
+      showDot(index, SketchDot::kCaptured);
+    } else if (dots_[i] == SketchDot::kCaptured) {
+      showDot(index, SketchDot::kOpen);
+    }
+  }
+}
+
+// --- Recording ----------------------------------------------------------------------------------
+
+void SketchPage::begin() {
+  if (phase_ == Phase::kRecording) return togglePause();
+  if (phase_ != Phase::kIdle) return;
+  RigLink& rig = workspace().rig();
+  if (rig.state() == RigLink::State::kLive) return record();
+  phase_ = Phase::kWaitingForCameras;
+  rig.reopen();
+  refreshControls();
+  refreshPrompt();
+}
+
+void SketchPage::record() {
+  RigLink& rig = workspace().rig();
+  job_ = rig.recordJob();
+  wishes_->fill(job_);
+  if (plan_.exists && plan_.capturedCount >= wishes_->coverageGoal() * plan_.grid->size()) {
+    job_.recorder.coverageGoal = 1;  // whoever goes on all the same wants the rest
+  }
+  job_.reconnectSeconds = kReconnectSeconds;
+  session_ = std::make_shared<SketchSession>(
+      [this] { QMetaObject::invokeMethod(this, &SketchPage::look, Qt::QueuedConnection); });
+  job_.control = &session_->control();
+
+  phase_ = Phase::kRecording;
+  state_ = {};
+  state_.coverage =
+      plan_.exists ? static_cast<double>(plan_.capturedCount) / plan_.grid->size() : 0;
+  pace_ = {};
+  outcome_.clear();
+  begun_ = Clock::now();
+  ambientSince_.reset();
+  unseenSince_.reset();
+  captured_.reset();
+  refused_.clear();
+  path_.clear();
+  kept_.clear();
+  for (const auto& [id, light] : plan_.frames) kept_.push_back({light});
+  waitingDots_.clear();
+  measuredFrom_.reset();
+  keptCount_ = 0;
+  workspace().undo().clear();
+
+  rig.lend();
+  task_ = workspace().run(
+      tr("Recording"), [job = job_, session = session_](Progress& progress, std::stop_token stop) {
+        return recordJob(job, progress, std::move(stop),
+                         [&](const RecorderState& state) { session->put(state); });
+      });
+  connect(task_, &Task::finished, this, [this, task = task_.data()] { ended(task->result()); });
+  tally_->clear();
+  side_->setCurrentIndex(kTallySide);
+  refreshControls();
+  refreshPrompt();
+}
+
+void SketchPage::togglePause() {
+  if (phase_ != Phase::kRecording) return;
+  session_->control().pause(!state_.paused);
+}
+
+void SketchPage::stop() {
+  if (phase_ == Phase::kWaitingForCameras) phase_ = Phase::kIdle;
+  if (phase_ == Phase::kRecording) {
+    phase_ = Phase::kEnding;
+    task_->cancel();
+  }
+  refreshControls();
+  refreshPrompt();
+}
+
+// What came from the recorder since the last time.
+void SketchPage::look() {
+  if (!session_ || (phase_ != Phase::kRecording && phase_ != Phase::kEnding)) return;
+  auto news = session_->take();
+  if (!news) return;
+  const bool wasPaused = state_.paused;
+  state_ = std::move(news->state);
+  if (state_.captured && state_.captured != captured_) {
+    captured_ = state_.captured;
+    showCaptured(*captured_);
+  }
+  for (const JudgedFrame& judged : news->judged) follow(judged);
+  followCameras();
+
+  overlay_.addLamp(state_.lampCamera == 0 ? state_.lamp : std::nullopt);
+  if (state_.lampDirection) {
+    if (path_.empty() || path_.back() != *state_.lampDirection) {
+      path_.push_back(*state_.lampDirection);
+    }
+    while (path_.size() > kPathSteps) path_.pop_front();
+  }
+  std::optional<int> target;
+  if (state_.nextDirection) target = plan_.grid->nearest(*state_.nextDirection);
+  overlay_.setTarget(target);
+  hemisphere_->setPath({path_.begin(), path_.end()}, palette().color(QPalette::Highlight));
+  hemisphere_->setArrow(state_.lampDirection, state_.nextDirection);
+  if (state_.paused != wasPaused) refreshControls();
+  refreshPrompt();
+}
+
+void SketchPage::follow(const JudgedFrame& judged) {
+  if (!measuredFrom_) {
+    measuredFrom_ = Clock::now();
+    sceneDrawn_ = sourceDrawn_ = 0;
+  }
+  pace_.add(judged);
+  const bool kept = judged.refusal == Refusal::kNone;
+  if (kept) {
+    ++keptCount_;
+    sounds_.play(Sounds::Tone::kCaptured);
+    const std::size_t index = kept_.size();
+    kept_.push_back({judged.direction.value_or(Vector3d::UnitZ())});
+    pushUndo(tr("last frame"), [this, index] { kept_[index].there = false; });
+    waitingDots_.push_back(judged.arrival);
+    return;
+  }
+  const RefusalWords words = wordsFor(judged.refusal);
+  if (words.shout.isEmpty()) return;
+  if (toSeconds(judged.decided - spoke_) > kRefusedToneSeconds && pace_.trouble(judged.decided)) {
+    spoke_ = judged.decided;
+    sounds_.play(Sounds::Tone::kRefused);
+  }
+  if (!judged.direction) return;
+  const int nearest = plan_.grid->nearest(*judged.direction);
+  if (dots_[static_cast<std::size_t>(nearest)] == SketchDot::kCaptured) return;
+  refused_[nearest] = judged.decided;
+  showDot(nearest, SketchDot::kRefused);
+  waitingDots_.push_back(judged.arrival);
+}
+
+// A camera that was lost, and a lamp.
+void SketchPage::followCameras() {
+  if (!state_.waitingFor.empty()) {
+    const QString text = QString::fromStdString(state_.waitingFor);
+    workspace().say({"recording", Workspace::Level::kWarning,
+                     tr("%1. All %2 frames are kept; the recording goes on as soon as it is back.")
+                         .arg(text)
+                         .arg(state_.recorded),
+                     tr("Stop recording"), [this] { stop(); }});
+    ambientSince_.reset();
+    return;
+  }
+  workspace().withdraw("recording");
+  if (state_.lampWantedOff && !ambientSince_) ambientSince_ = Clock::now();
+  if (!state_.lampWantedOff) ambientSince_.reset();
+  const TimePoint now = Clock::now();
+  if (state_.lampDirection || state_.lampWantedOff || state_.paused) {
+    unseenSince_ = now + fromSeconds(kLampLostSeconds);
+  } else if (unseenSince_ && now > *unseenSince_) {
+    unseenSince_.reset();
+    sounds_.play(Sounds::Tone::kLampLost);
+  }
+}
+
+// Things that end by time.
+void SketchPage::tick() {
+  const TimePoint now = Clock::now();
+  for (auto at = refused_.begin(); at != refused_.end();) {
+    if (toSeconds(now - at->second) < kRefusedDotSeconds) {
+      ++at;
+      continue;
+    }
+    if (dots_[static_cast<std::size_t>(at->first)] == SketchDot::kRefused) {
+      showDot(at->first, SketchDot::kOpen);
+    }
+    at = refused_.erase(at);
+  }
+  if (phase_ != Phase::kRecording) return;
+  refreshPrompt();
+  QString text =
+      tr("<b>%1</b><br>%2 frames kept").arg(toQString(job_.sketch.filename())).arg(state_.recorded);
+  for (const auto& [refusal, count] : state_.refusals) {
+    if (!wordsFor(refusal).shout.isEmpty()) {
+      text += QString("<br>%1: %2").arg(wordsFor(refusal).name).arg(count);
+    }
+  }
+  tally_->setText(text);
+}
+
+void SketchPage::ended(const Result<JobResult>& result) {
+  look();
+  measure();
+  workspace().withdraw("recording");
+  workspace().rig().giveBack();
+  phase_ = Phase::kIdle;
+  hemisphere_->setArrow({}, {});
+  overlay_.setTarget({});
+  session_->close();
+  if (!result) {
+    outcome_.clear();
+    side_->setCurrentIndex(kOptionsSide);
+    if (std::filesystem::exists(job_.sketch / "sketch.json")) workspace().setSketch(job_.sketch);
+    replan();
+    refreshControls();
+    return refreshPrompt();
+  }
+  const Json& figures = result->figures;
+  const double coverage = figures.value("coverage", 0.0);
+  const bool done = coverage >= job_.recorder.coverageGoal - 1e-9;
+  if (done) sounds_.play(Sounds::Tone::kDone);
+  workspace().setSketch(job_.sketch);  // empties the undo stack: it was the recorder's
+  outcome_ = done ? tr("Done") : tr("Stopped");
+  outcomeDetail_ = tr("%1 frames recorded. Develop makes the picture; Space goes on recording.")
+                       .arg(figures.value("recorded", 0));
+  teach(figures.value("refusals", Json::object()));
+  side_->setCurrentIndex(kLessonsSide);
+  workspace().say({"recorded", Workspace::Level::kInfo,
+                   tr("%1: %2 % of the directions are there.")
+                       .arg(toQString(job_.sketch.filename()))
+                       .arg(100 * coverage, 0, 'f', 1),
+                   tr("Develop"), [this] { workspace().show("develop"); }});
+  refreshControls();
+  refreshPrompt();
+}
+
+// What was refused and how to do better, the most frequent first.
+void SketchPage::teach(const Json& /*refusals*/) {
+  std::vector<std::pair<int, Refusal>> counts;
+  for (const auto& [refusal, count] : state_.refusals) counts.emplace_back(count, refusal);
+  std::sort(counts.rbegin(), counts.rend());
+  QString text;
+  for (const auto& [count, refusal] : counts) {
+    const RefusalWords words = wordsFor(refusal);
+    if (words.shout.isEmpty() || count == 0) continue;
+    text += tr("<p><b>%1: %2.</b> %3</p>").arg(words.name).arg(count).arg(words.lesson);
+  }
+  lessons_->setText(text.isEmpty()
+                        ? tr("<p><b>Nothing was refused.</b> Well held.</p>")
+                        : tr("<p>Refused frames, and what to do about them:</p>") + text);
+}
+
+void SketchPage::pushUndo(const QString& text, std::function<void()> undo) {
+  workspace().undo().push(new TakeBack(text, [session = session_, undo = std::move(undo)] {
+    session->control().undo();
+    undo();
+  }));
+}
+
+void SketchPage::deleteRegion(const Vector3d& centre, double radius) {
+  if (phase_ != Phase::kRecording) {
+    if (phase_ != Phase::kIdle || !plan_.exists) return;
+    dropFrames(workspace(), wishes_->folder(), plan_.framesWithin(centre, radius),
+               "to be shot again", tr("deleted region"));
+    return;
+  }
+  std::vector<std::size_t> within;
+  for (std::size_t i = 0; i < kept_.size(); ++i) {
+    if (kept_[i].there && angleBetween(kept_[i].direction, centre).radians() <= radius) {
+      within.push_back(i);
+    }
+  }
+  if (within.empty()) return;
+  for (const std::size_t i : within) kept_[i].there = false;
+  session_->control().dropRegion(centre, Angle::radians(radius), "to be shot again");
+  pushUndo(tr("deleted region"), [this, within] {
+    for (const std::size_t i : within) kept_[i].there = true;
+  });
+}
+
+// --- What is said -------------------------------------------------------------------------------
+
+void SketchPage::refreshControls() {
+  const bool idle = phase_ == Phase::kIdle;
+  const bool recording = phase_ == Phase::kRecording;
+  record_->setText(plan_.exists ? tr("Go on &recording") : tr("&Record"));
+  record_->setToolTip(tr("Begins with the lamp off, then follow the arrow (Space)"));
+  record_->setVisible(!recording && phase_ != Phase::kEnding);
+  record_->setEnabled(idle && planTrouble_.isEmpty());
+  pause_->setVisible(recording);
+  pause_->setText(state_.paused ? tr("Go &on") : tr("&Pause"));
+  stop_->setVisible(!idle);
+  stop_->setEnabled(phase_ != Phase::kEnding);
+  new_->setVisible(idle && plan_.exists);
+  develop_->setVisible(idle && plan_.exists);
+  if (idle && outcome_.isEmpty()) side_->setCurrentIndex(kOptionsSide);
+  const RigLink& rig = workspace().rig();
+  const QString placeholder = rig.state() == RigLink::State::kFailed ? rig.trouble()
+                              : idle && rig.state() == RigLink::State::kClosed
+                                  ? tr("No picture yet")
+                                  : tr("The cameras are being opened");
+  source_->setPlaceholder(placeholder);
+  scene_->setPlaceholder(placeholder);
+}
+
+void SketchPage::refreshPrompt() {
+  prompt_->setContent(phase_ == Phase::kRecording ? recordingPrompt() : idlePrompt());
+}
+
+SketchPrompt::Content SketchPage::idlePrompt() const {
+  SketchPrompt::Content content;
+  content.goal = wishes_->coverageGoal();
+  if (plan_.grid && plan_.exists) {
+    content.coverage = static_cast<double>(plan_.capturedCount) / plan_.grid->size();
+  }
+  const RigLink& rig = workspace().rig();
+  if (phase_ == Phase::kEnding) {
+    content.coverage = state_.coverage;
+    content.word = tr("One moment");
+    content.detail = tr("The last frames are written.");
+  } else if (phase_ == Phase::kWaitingForCameras || rig.state() == RigLink::State::kOpening) {
+    content.word = tr("One moment");
+    content.detail = tr("The cameras are being opened.");
+  } else if (rig.state() == RigLink::State::kFailed) {
+    content.word = tr("No camera");
+    content.detail = rig.trouble();
+    content.mood = SketchPrompt::Mood::kTrouble;
+  } else if (!planTrouble_.isEmpty()) {
+    content.word = tr("Not here");
+    content.detail = planTrouble_;
+    content.mood = SketchPrompt::Mood::kTrouble;
+  } else if (!outcome_.isEmpty()) {
+    content.word = outcome_;
+    content.detail = outcomeDetail_;
+    content.mood = SketchPrompt::Mood::kGood;
+  } else {
+    content.word = tr("Ready");
+    content.detail = plan_.exists
+                         ? tr("Space goes on with this sketch.")
+                         : tr("Take the lamp, step beside the camera, and press Space. The first "
+                              "two seconds are for the room's own light: lamp off.");
+  }
+  return content;
+}
+
+SketchPrompt::Content SketchPage::recordingPrompt() const {
+  const TimePoint now = Clock::now();
+  SketchPrompt::Content content;
+  content.coverage = state_.coverage;
+  content.goal = job_.recorder.coverageGoal;
+  if (!state_.waitingFor.empty()) {
+    content.word = tr("Camera lost");
+    content.detail =
+        tr("%1. Everything so far is kept.").arg(QString::fromStdString(state_.waitingFor));
+    content.mood = SketchPrompt::Mood::kTrouble;
+    return content;
+  }
+  if (!state_.grid) {
+    content.word = tr("One moment");
+    content.detail = tr("The cameras are being opened. Have the lamp at hand, switched off.");
+    return content;
+  }
+  if (state_.paused) {
+    content.word = tr("Paused");
+    content.detail =
+        tr("Space goes on. Drag a circle on the hemisphere to delete and shoot again.");
+    return content;
+  }
+  if (state_.lampWantedOff) {
+    const double left = job_.recorder.ambientSeconds - toSeconds(now - ambientSince_.value_or(now));
+    content.word = tr("Lamp off, please");
+    content.detail =
+        left > 0 ? tr("The room's own light is measured: %1 s").arg(left, 0, 'f', 1)
+                 : tr("The room's own light is measured, as soon as it is as dark as it gets.");
+    return content;
+  }
+  content.rate = QString::number(qRound(pace_.keptPerMinute(now)));
+  content.left = timeLeft();
+  if (const auto refusal = pace_.trouble(now)) {
+    const RefusalWords words = wordsFor(*refusal);
+    content.word = words.shout;
+    content.detail =
+        *refusal == Refusal::kLampNotSeen && !state_.lampTrouble.empty()
+            ? tr("%1. %2").arg(QString::fromStdString(state_.lampTrouble), words.lesson)
+            : words.lesson;
+    content.mood = SketchPrompt::Mood::kTrouble;
+  }
+  if (state_.nextDirection && state_.lampDirection) {
+    const double away = angleBetween(*state_.lampDirection, *state_.nextDirection).degrees();
+    content.there = away < kThereDegrees;
+    if (!content.there) {
+      content.arrow =
+          hemisphere_->project(*state_.nextDirection) - hemisphere_->project(*state_.lampDirection);
+    }
+    if (content.word.isEmpty()) {
+      content.word = !job_.recorder.bracket.empty() && content.there ? tr("Hold still")
+                                                                     : tr("Follow the arrow");
+      content.detail = tr("%1\u00b0 to the next gap. Lamp known to \u00b1%2\u00b0.")
+                           .arg(qRound(away))
+                           .arg(state_.directionSigma.degrees(), 0, 'f', 1);
+    }
+  } else if (content.word.isEmpty()) {
+    content.word = tr("Lamp on");
+    content.detail = state_.lampTrouble.empty()
+                         ? tr("Hold it up so that the source camera sees it.")
+                         : QString::fromStdString(state_.lampTrouble);
+  }
+  if (content.mood == SketchPrompt::Mood::kCalm && pace_.keptWithin(now, kGoodSeconds)) {
+    content.mood = SketchPrompt::Mood::kGood;
+  }
+  return content;
+}
+
+QString SketchPage::timeLeft() const {
+  const TimePoint now = Clock::now();
+  const double missing = (job_.recorder.coverageGoal - state_.coverage) * plan_.grid->size();
+  const double perMinute = pace_.keptPerMinute(now);
+  std::optional<double> seconds;
+  if (perMinute > 0.5) seconds = std::max(0.0, 60 * missing / perMinute);
+  if (job_.recorder.timeLimitSeconds) {
+    const double limit = std::max(0.0, *job_.recorder.timeLimitSeconds - toSeconds(now - begun_));
+    seconds = std::min(seconds.value_or(limit), limit);
+  }
+  return seconds ? minutes(*seconds) : QString();
+}
+
+// --- Statistics ---------------------------------------------------------------------------------
+
+void SketchPage::dotsDrawn() {
+  const TimePoint now = Clock::now();
+  for (const TimePoint arrival : waitingDots_) {
+    workspace().statistics().add("frame's arrival to its dot, ms", 1e3 * toSeconds(now - arrival));
+  }
+  waitingDots_.clear();
+}
+
+void SketchPage::measure() {
+  if (!measuredFrom_) return;
+  Statistics& statistics = workspace().statistics();
+  const double seconds = toSeconds(Clock::now() - *measuredFrom_);
+  std::uint64_t dropped = state_.droppedByQueues + state_.scene.underruns;
+  for (const StreamStatistics& source : state_.sources) dropped += source.underruns;
+  statistics.set("frames dropped by the program", static_cast<double>(dropped));
+  statistics.set("scene view, frames a second", sceneDrawn_ / seconds);
+  statistics.set("source view, frames a second", sourceDrawn_ / seconds);
+  statistics.set("kept frames a second", keptCount_ / seconds);
+}
 
 }  // namespace lightsketch
