@@ -297,7 +297,9 @@ LampState SpiralMotion::at(double timeSeconds) const {
   const double turns = timeSeconds / periodSeconds_;
   const double phase = turns - std::floor(turns);
   const double z = 0.98 - 0.9 * (phase < 0.5 ? 2 * phase : 2 - 2 * phase);
-  const double azimuth = 2 * std::numbers::pi * 6 * phase;
+  // No faster than a hand: a turn in 10 seconds.
+  const double rounds = std::clamp(std::round(periodSeconds_ / 10), 1.0, 6.0);
+  const double azimuth = 2 * std::numbers::pi * rounds * phase;
   const double r = std::sqrt(1 - z * z);
   return {true, 0, kLampDistanceMetres * Vector3d(r * std::cos(azimuth), r * std::sin(azimuth), z)};
 }

@@ -48,8 +48,10 @@ struct RecorderControl::State {
 
 namespace {
 
-constexpr std::size_t kFrameQueue = 16;  // more than a second at the usual rates
-constexpr std::size_t kWriteQueue = 8;
+// What a busy machine or disk may take from us before a frame is let go.
+constexpr double kQueueSeconds = 1;
+constexpr std::size_t kFewestQueued = 8;
+constexpr double kWriteQueueBytes = 256e6;               // frames in linear radiance are large
 constexpr std::chrono::milliseconds kTick{100};          // between reports when no frame comes
 constexpr std::chrono::milliseconds kBetweenLooks{500};  // at the links
 constexpr double kSilenceSeconds = 5;     // a camera that sends nothing for so long is lost
@@ -197,6 +199,18 @@ LampTrackerOptions trackerOptions(const CameraPose& pose, const RigGeometry& rig
   return tracker;
 }
 
+std::size_t queuedFrames(const RecorderOptions& options) {
+  return std::max(kFewestQueued,
+                  static_cast<std::size_t>(std::ceil(kQueueSeconds * options.framesPerSecond)));
+}
+
+// At the highest rate at which frames are kept, several seconds of pictures of common sizes.
+std::size_t queuedPictures(const SketchManifest& sketch) {
+  const double bytes = 3.0 * sizeof(float) * sketch.width * sketch.height;
+  return std::clamp(static_cast<std::size_t>(kWriteQueueBytes / bytes), kFewestQueued,
+                    std::size_t{64});
+}
+
 // One source camera: its frames, what its tracker made of them, and the thread in between.
 struct SourceStream {
   SourceStream(const SourceCamera& source, const CameraPose& cameraPose, const RigGeometry& rig,
@@ -205,14 +219,15 @@ struct SourceStream {
         name(cameraPose.camera.empty() ? source.camera.info().address : cameraPose.camera),
         calibrationId(checksum(cameraModelToJson(*source.model).dump())),
         model(source.model),
-        tracker(source.model, trackerOptions(cameraPose, rig, options)) {}
+        tracker(source.model, trackerOptions(cameraPose, rig, options)),
+        queue(queuedFrames(options)) {}
 
   Camera& camera;
   const std::string name;
   const std::string calibrationId;
   const std::shared_ptr<const CameraModel> model;
   LampTracker tracker;  // its thread's
-  BoundedQueue<Frame> queue{kFrameQueue};
+  BoundedQueue<Frame> queue;
   ObservationHistory history;
   std::atomic<Clock::rep> last{Clock::now().time_since_epoch().count()};
   std::atomic<Clock::rep> lastExposed{0};  // middle of the last frame's exposure; 0: none yet
@@ -408,8 +423,8 @@ class Recording {
   std::atomic<bool> aligning_ = true;  // frames do not count yet
   std::atomic<Clock::rep> lastSceneExposed_{0};
   std::atomic<Clock::rep> lastScene_{Clock::now().time_since_epoch().count()};
-  BoundedQueue<Frame> sceneQueue_{kFrameQueue};
-  BoundedQueue<WriteJob> writeQueue_{kWriteQueue};
+  BoundedQueue<Frame> sceneQueue_{queuedFrames(options_)};
+  BoundedQueue<WriteJob> writeQueue_{queuedPictures(sketch_.manifest())};
 
   std::mutex mutex_;  // Guards everything below but guide_.
   std::condition_variable changed_;

@@ -1,4 +1,4 @@
-#include "fake_rig.h"
+#include "tests/capture/session/fake_rig.h"
 
 #include <Eigen/Geometry>
 #include <algorithm>
