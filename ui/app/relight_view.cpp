@@ -1,0 +1,359 @@
+#include "ui/app/relight_view.h"
+
+#include <QKeyEvent>
+#include <QMouseEvent>
+#include <QOpenGLContext>
+#include <QOpenGLFunctions>
+#include <QOpenGLPixelTransferOptions>
+#include <QPainter>
+#include <QTimer>
+#include <QWheelEvent>
+#include <algorithm>
+#include <cmath>
+
+namespace lightsketch {
+namespace {
+
+constexpr int kGround = 24;  // grey level around the picture: dark, and of no colour
+constexpr int kGap = 12;     // between picture and photograph
+constexpr double kMostZoom = 16;
+constexpr int kRefineMilliseconds = 150;
+constexpr int kPointerMilliseconds = 2000;
+// Of a frame at 60 a second, what drawing may take; the rest is for the screen and everybody else.
+constexpr double kDrawSeconds = 0.6 / 60;
+
+double milliseconds(RelightView::Clock::duration duration) {
+  return std::chrono::duration<double, std::milli>(duration).count();
+}
+
+}  // namespace
+
+RelightView::RelightView(QWidget* parent)
+    : QOpenGLWidget(parent), governor_({.targetSeconds = kDrawSeconds}), refine_(new QTimer(this)) {
+  setMinimumSize(320, 240);
+  setFocusPolicy(Qt::StrongFocus);
+  setAccessibleName(tr("Relit picture"));
+  refine_->setSingleShot(true);
+  connect(refine_, &QTimer::timeout, this, [this] {
+    if (drawnShare_ == 1) return;
+    stale_ = true;
+    update();
+  });
+  connect(this, &QOpenGLWidget::frameSwapped, this, &RelightView::presented);
+}
+
+RelightView::~RelightView() {
+  releaseTextures();
+  if (context()) disconnect(context(), nullptr, this, nullptr);
+}
+
+void RelightView::releaseTextures() {
+  if (!context()) return;
+  makeCurrent();
+  texture_.reset();
+  photographTexture_.reset();
+  blitter_.destroy();
+  doneCurrent();
+}
+
+void RelightView::setScene(std::shared_ptr<RelightScene> scene) {
+  scene_ = std::move(scene);
+  governor_ = FrameRateGovernor({.targetSeconds = kDrawSeconds});
+  zoom_ = 1;
+  middle_ = {0.5, 0.5};
+  if (scene_) {
+    // Rows of whole cache lines from an aligned address on.
+    strideBytes_ = (static_cast<std::size_t>(scene_->width()) * 4 + 63) / 64 * 64;
+    buffer_.assign(strideBytes_ * static_cast<std::size_t>(scene_->height()) + 64, std::byte{0});
+  }
+  stale_ = true;
+  update();
+}
+
+void RelightView::setExposure(float exposure, Tone tone) {
+  exposure_ = exposure;
+  tone_ = tone;
+  lightChanged();
+}
+
+void RelightView::setPhotograph(const QImage& photograph, const QString& caption) {
+  photograph_ = photograph.isNull() ? QImage() : photograph.convertToFormat(QImage::Format_RGB32);
+  caption_ = caption;
+  if (photographTexture_) {
+    makeCurrent();
+    photographTexture_.reset();
+    doneCurrent();
+  }
+  stale_ = true;  // another part of the picture may be in sight
+  update();
+}
+
+void RelightView::setPlaceholder(const QString& text) {
+  placeholder_ = text;
+  update();
+}
+
+void RelightView::setHidesPointer(bool on) {
+  delete pointer_;
+  pointer_ = nullptr;
+  if (!on) return;
+  setMouseTracking(true);
+  pointer_ = new QTimer(this);
+  pointer_->setSingleShot(true);
+  pointer_->start(kPointerMilliseconds);
+  connect(pointer_, &QTimer::timeout, this, [this] { setCursor(Qt::BlankCursor); });
+}
+
+void RelightView::lightChanged(Clock::time_point when) {
+  if (!changed_) changed_ = when;
+  stale_ = true;
+  update();
+}
+
+RelightStatistics RelightView::statistics() const {
+  RelightStatistics now = statistics_;
+  const auto since = Clock::now() - std::chrono::seconds(1);
+  now.framesPerSecond = static_cast<double>(
+      std::count_if(recent_.begin(), recent_.end(), [&](auto at) { return at > since; }));
+  return now;
+}
+
+QRectF RelightView::picturePane() const {
+  if (photograph_.isNull()) return rect();
+  return {0, 0, (width() - kGap) / 2.0, static_cast<double>(height())};
+}
+
+QRectF RelightView::photographPane() const {
+  const double half = (width() - kGap) / 2.0;
+  return {half + kGap, 0, half, static_cast<double>(height())};
+}
+
+QRectF RelightView::pictureIn(const QRectF& pane, const QSizeF& size) const {
+  const QSizeF shown = zoom_ * size.scaled(pane.size(), Qt::KeepAspectRatio);
+  const QPointF corner =
+      pane.center() - QPointF(middle_.x() * shown.width(), middle_.y() * shown.height());
+  return {corner, shown};
+}
+
+PixelRectangle RelightView::visible() const {
+  const QRectF pane = picturePane();
+  const QRectF picture = pictureIn(pane, QSizeF(scene_->width(), scene_->height()));
+  const QRectF seen = pane.intersected(picture);
+  const double scale = scene_->width() / picture.width();
+  PixelRectangle part;
+  part.x = std::clamp(static_cast<int>((seen.left() - picture.left()) * scale) - 1, 0,
+                      scene_->width() - 1);
+  part.y = std::clamp(static_cast<int>((seen.top() - picture.top()) * scale) - 1, 0,
+                      scene_->height() - 1);
+  part.width = std::min(static_cast<int>(seen.width() * scale) + 3, scene_->width() - part.x);
+  part.height = std::min(static_cast<int>(seen.height() * scale) + 3, scene_->height() - part.y);
+  return part;
+}
+
+void RelightView::initializeGL() {
+  blitter_.create();
+  // Bytes are blue, green, red.
+  blitter_.setRedBlueSwizzle(true);
+  texture_.reset();
+  photographTexture_.reset();
+  stale_ = true;
+  connect(context(), &QOpenGLContext::aboutToBeDestroyed, this, &RelightView::releaseTextures);
+}
+
+void RelightView::upload(QOpenGLTexture& texture, const void* bgra, int strideBytes,
+                         const QRect& part, bool reduced) {
+  QOpenGLPixelTransferOptions options;
+  options.setAlignment(4);
+  options.setRowLength(strideBytes / 4);
+  const auto* first = static_cast<const std::byte*>(bgra) +
+                      static_cast<std::ptrdiff_t>(part.y()) * strideBytes + 4 * part.x();
+  texture.setData(part.x(), part.y(), 0, part.width(), part.height(), 1, QOpenGLTexture::RGBA,
+                  QOpenGLTexture::UInt8, first, &options);
+  // Shown much smaller than it is, it would shimmer without averages.
+  texture.setMinificationFilter(reduced ? QOpenGLTexture::LinearMipMapLinear
+                                        : QOpenGLTexture::Linear);
+  if (reduced) texture.generateMipMaps();
+}
+
+namespace {
+
+std::unique_ptr<QOpenGLTexture> textureFor(const QSize& size, bool reduced) {
+  auto texture = std::make_unique<QOpenGLTexture>(QOpenGLTexture::Target2D);
+  texture->setFormat(QOpenGLTexture::RGBA8_UNorm);
+  texture->setSize(size.width(), size.height());
+  texture->setAutoMipMapGenerationEnabled(false);
+  texture->setMipLevels(reduced ? texture->maximumMipLevels() : 1);
+  texture->allocateStorage(QOpenGLTexture::RGBA, QOpenGLTexture::UInt8);
+  texture->setMagnificationFilter(QOpenGLTexture::Linear);
+  texture->setWrapMode(QOpenGLTexture::ClampToEdge);
+  return texture;
+}
+
+}  // namespace
+
+void RelightView::draw() {
+  const auto begin = Clock::now();
+  if (prepare_) prepare_();
+  const bool atRest = !changed_;
+  const float share = atRest ? 1.0f : static_cast<float>(governor_.share());
+  auto address = reinterpret_cast<std::uintptr_t>(buffer_.data());
+  std::byte* const pixels = buffer_.data() + (64 - address % 64) % 64;
+  const PixelRectangle part = visible();
+  renderer_.render(
+      scene_->relighter, tone_, {.exposure = exposure_, .share = share, .visible = part},
+      {pixels, strideBytes_ * static_cast<std::size_t>(scene_->height())}, strideBytes_);
+  const auto drawn = Clock::now();
+  statistics_.drawMilliseconds = milliseconds(drawn - begin);
+  if (!atRest) governor_.frame(std::chrono::duration<double>(drawn - begin).count());
+  statistics_.share = static_cast<float>(governor_.share());
+  drawnShare_ = share;
+  if (share < 1) refine_->start(kRefineMilliseconds);
+
+  const QSize size(scene_->width(), scene_->height());
+  const double scale = pictureIn(picturePane(), size).width() * devicePixelRatioF() / size.width();
+  const bool reduced = scale < 0.67;
+  if (!texture_ || texture_->width() != size.width() || texture_->height() != size.height() ||
+      (texture_->mipLevels() > 1) != reduced) {
+    texture_ = textureFor(size, reduced);
+  }
+  upload(*texture_, pixels, static_cast<int>(strideBytes_),
+         {part.x, part.y, part.width, part.height}, reduced);
+  drawing_ = std::exchange(changed_, std::nullopt);
+  stale_ = false;
+}
+
+void RelightView::paintGL() {
+  auto* gl = QOpenGLContext::currentContext()->functions();
+  gl->glClearColor(kGround / 255.0f, kGround / 255.0f, kGround / 255.0f, 1);
+  gl->glClear(GL_COLOR_BUFFER_BIT);
+  if (!scene_) {
+    QPainter painter(this);
+    painter.setPen(QColor(150, 150, 150));
+    QFont large = font();
+    large.setPointSizeF(large.pointSizeF() * 1.3);
+    painter.setFont(large);
+    painter.drawText(rect().adjusted(40, 40, -40, -40), Qt::AlignCenter | Qt::TextWordWrap,
+                     placeholder_);
+    return;
+  }
+  if (stale_) draw();
+
+  const double ratio = devicePixelRatioF();
+  const QRect viewport(QPoint(0, 0), (QSizeF(size()) * ratio).toSize());
+  const auto blit = [&](QOpenGLTexture& texture, const QRectF& pane) {
+    const QRectF target = pictureIn(pane, QSizeF(texture.width(), texture.height()));
+    gl->glEnable(GL_SCISSOR_TEST);
+    gl->glScissor(static_cast<int>(pane.left() * ratio), 0,
+                  static_cast<int>(std::ceil(pane.width() * ratio)), viewport.height());
+    const QRectF onScreen(target.topLeft() * ratio, target.size() * ratio);
+    blitter_.blit(texture.textureId(), QOpenGLTextureBlitter::targetTransform(onScreen, viewport),
+                  QOpenGLTextureBlitter::OriginTopLeft);
+    gl->glDisable(GL_SCISSOR_TEST);
+  };
+  gl->glViewport(0, 0, viewport.width(), viewport.height());
+  blitter_.bind();
+  blit(*texture_, picturePane());
+  if (!photograph_.isNull()) {
+    if (!photographTexture_) {
+      const double scale =
+          pictureIn(photographPane(), photograph_.size()).width() * ratio / photograph_.width();
+      photographTexture_ = textureFor(photograph_.size(), scale < 0.67);
+      upload(*photographTexture_, photograph_.constBits(),
+             static_cast<int>(photograph_.bytesPerLine()), photograph_.rect(), scale < 0.67);
+    }
+    blit(*photographTexture_, photographPane());
+  }
+  blitter_.release();
+
+  if (!photograph_.isNull()) {
+    QPainter painter(this);
+    painter.setRenderHint(QPainter::Antialiasing);
+    const auto caption = [&](const QRectF& pane, const QString& text) {
+      const QRectF line(pane.left(), pane.bottom() - 30, pane.width(), 30);
+      painter.setPen(QColor(0, 0, 0, 200));
+      painter.drawText(line.translated(1, 1), Qt::AlignCenter, text);
+      painter.setPen(QColor(220, 220, 220));
+      painter.drawText(line, Qt::AlignCenter, text);
+    };
+    caption(picturePane(), tr("relit"));
+    caption(photographPane(), caption_);
+  }
+}
+
+void RelightView::presented() {
+  if (!drawing_) return;
+  const auto now = Clock::now();
+  const double latency = milliseconds(now - *drawing_);
+  drawing_.reset();
+  // After a rest there is no interval to speak of.
+  double interval = presentedAt_ ? milliseconds(now - *presentedAt_) : 0;
+  if (interval > 250) interval = 0;
+  presentedAt_ = now;
+  std::erase_if(recent_, [&](auto at) { return at < now - std::chrono::seconds(1); });
+  recent_.push_back(now);
+  statistics_.latencyMilliseconds = latency;
+  Q_EMIT shown(interval, latency, statistics_.drawMilliseconds);
+}
+
+void RelightView::mousePressEvent(QMouseEvent* event) {
+  last_ = event->position();
+  panning_ = event->button() != Qt::LeftButton || event->modifiers() & Qt::ControlModifier;
+}
+
+void RelightView::mouseMoveEvent(QMouseEvent* event) {
+  if (pointer_) {
+    unsetCursor();
+    pointer_->start(kPointerMilliseconds);
+  }
+  if (!last_ || !scene_) return;
+  const QPointF by = event->position() - *last_;
+  last_ = event->position();
+  const QRectF picture = pictureIn(picturePane(), QSizeF(scene_->width(), scene_->height()));
+  if (panning_) {
+    middle_ -= QPointF(by.x() / picture.width(), by.y() / picture.height());
+    middle_ = {std::clamp(middle_.x(), 0.0, 1.0), std::clamp(middle_.y(), 0.0, 1.0)};
+    stale_ = true;
+    update();
+    return;
+  }
+  const double half = std::min(picture.width(), picture.height()) / (2 * zoom_);
+  Q_EMIT dragged({by.x() / half, -by.y() / half});
+}
+
+void RelightView::mouseReleaseEvent(QMouseEvent*) { last_.reset(); }
+
+void RelightView::mouseDoubleClickEvent(QMouseEvent*) {
+  zoom_ = 1;
+  middle_ = {0.5, 0.5};
+  stale_ = true;
+  update();
+}
+
+void RelightView::wheelEvent(QWheelEvent* event) {
+  if (!scene_) return;
+  // What is under the pointer stays there.
+  const QSizeF size(scene_->width(), scene_->height());
+  const QRectF pane =
+      event->position().x() > picturePane().right() ? photographPane() : picturePane();
+  const QRectF before = pictureIn(pane, size);
+  const QPointF at((event->position().x() - before.left()) / before.width(),
+                   (event->position().y() - before.top()) / before.height());
+  zoom_ = std::clamp(zoom_ * std::pow(1.0015, event->angleDelta().y()), 1.0, kMostZoom);
+  const QSizeF after = pictureIn(pane, size).size();
+  middle_ = {at.x() - (event->position().x() - pane.center().x()) / after.width(),
+             at.y() - (event->position().y() - pane.center().y()) / after.height()};
+  if (zoom_ == 1) middle_ = {0.5, 0.5};
+  middle_ = {std::clamp(middle_.x(), 0.0, 1.0), std::clamp(middle_.y(), 0.0, 1.0)};
+  stale_ = true;
+  update();
+}
+
+void RelightView::keyPressEvent(QKeyEvent* event) {
+  if (event->key() == Qt::Key_Escape) {
+    Q_EMIT leaveRequested();
+    return;
+  }
+  QOpenGLWidget::keyPressEvent(event);
+}
+
+}  // namespace lightsketch
