@@ -213,6 +213,8 @@ Result<void> SimulatedRig::State::serve(FrameSource& view, GigeDeviceOptions dev
   }
   device.defaultFramesPerSecond = options.framesPerSecond;
   device.packetLoss = options.packetLoss;
+  // As a gigabit line carries them; exposure and transfer have to fit into the frame interval.
+  if (options.framesPerSecond > 20) device.packetsPerBurst = 40;
   device.program = options.program;
   device.seed = options.seed + static_cast<std::uint32_t>(devices.size());
   ASSIGN_OR_RETURN(auto started, GigeDevice::start(*served.back(), device, startTime));

@@ -108,7 +108,7 @@ class AmbientMean {
 // Something for the thread that owns the sketch to write.
 struct WriteJob {
   std::optional<FrameRecord> record;  // none: the ambient light, or a wish
-  RadianceImage radiance;
+  RadianceImage radiance;             // empty: still to be made of `raw`
   std::optional<Frame> raw;
   std::optional<RecorderControl::State::Wish> wish;
 };
@@ -306,7 +306,7 @@ class Recording {
                        "an ambient time",
                        sketch_.folder().string());
       }
-      if (ambient) ambient_ = std::move(*ambient);
+      if (ambient && !control_.learnt) ambient_ = *ambient;
     }
     if (control_.learnt) ambient_ = control_.ambient;
     return {};
@@ -395,11 +395,13 @@ class Recording {
   // The writer's while threads run.
   Sketch sketch_;
   std::vector<int> onDisk_;  // frames per cell
+  // Nobody's to change: the options since the start, the ambient light since the first frame after
+  // its phase was judged.
+  LineariseOptions linearise_;
+  RadianceImage ambient_;  // to subtract; empty: nothing
   // The judge's while threads run.
   Coverage coverage_;
   GuidePlan plan_;
-  LineariseOptions linearise_;
-  RadianceImage ambient_;  // to subtract; empty: nothing
   AmbientMean ambientMean_;
   bool haveAmbientFile_ = false;
   std::optional<TimePoint> firstFrame_;
@@ -516,8 +518,16 @@ void Recording::writeSketch() {
       if (auto status = sketch_.writeAmbient(job->radiance); !status) return fail(status.error());
       continue;
     }
+    if (job->radiance.empty()) {
+      auto linear = linearise(*job->raw, linearise_);
+      if (!linear) return fail(linear.error());
+      job->radiance = std::move(linear->radiance);
+    }
+    for (std::size_t i = 0; i < ambient_.size(); ++i) {
+      job->radiance.data()[i] -= ambient_.data()[i];
+    }
     // Before the journal says that the frame is there.
-    if (job->raw) {
+    if (options_.keepRaw) {
       const auto path =
           sketch_.folder() / "frames" / fmt::format("{:06}.raw.png", sketch_.frames().size());
       if (auto status = writeRaw(*job->raw, path); !status) return fail(status.error());
@@ -704,10 +714,11 @@ Result<Refusal> Recording::judge(const Frame& frame) {
     return cell ? Refusal::kNotNew : Refusal::kOutsideGrid;
   }
 
-  // Only now does the frame cost something.
+  // Only now does the frame cost something: demosaicing takes ten times as long as all of the
+  // above, so that the writer does it, once the frame is accepted.
   LinearFrame linear;
   if (options_.bracket.empty()) {
-    ASSIGN_OR_RETURN(linear, linearise(frame, linearise_));
+    ASSIGN_OR_RETURN(linear.saturatedFraction, saturatedFraction(frame, linearise_));
   } else {
     ASSIGN_OR_RETURN(const bool whole, goOnWithBracket(frame, *lit));
     if (!whole) return Refusal::kBracketing;
@@ -720,9 +731,6 @@ Result<Refusal> Recording::judge(const Frame& frame) {
     RETURN_IF_ERROR(endBracket());
   }
   if (linear.saturatedFraction > options_.maxSaturatedFraction) return Refusal::kSaturated;
-  for (std::size_t i = 0; i < ambient_.size(); ++i) {
-    linear.radiance.data()[i] -= ambient_.data()[i];
-  }
 
   FrameRecord record;
   record.light = light;
@@ -762,7 +770,7 @@ Result<Refusal> Recording::judge(const Frame& frame) {
   // A disk that cannot keep up costs this frame, not the stream; its direction stays open.
   if (writeQueue_.push({std::move(record),
                         std::move(linear.radiance),
-                        options_.keepRaw ? std::optional(frame) : std::nullopt,
+                        options_.bracket.empty() ? std::optional(frame) : std::nullopt,
                         {}})) {
     coverage_.add(light.direction);
   }

@@ -32,6 +32,24 @@ std::size_t countSaturated(const Frame& frame, int maximum) {
   return count;
 }
 
+double fractionSaturated(const Frame& frame, const SensorModel& sensor) {
+  const auto top = static_cast<int>(std::ceil(sensor.response.saturationCount()));
+  return static_cast<double>(countSaturated(frame, top)) /
+         (static_cast<double>(frame.width) * frame.height);
+}
+
+// The sensor that `options` name, or one that `plain` then holds.
+Result<const SensorModel*> sensorOf(const Frame& frame, const LineariseOptions& options,
+                                    std::optional<SensorModel>& plain) {
+  RETURN_IF_ERROR(checkFrame(frame));
+  if (options.sensor) {
+    RETURN_IF_ERROR(options.sensor->checkFits(frame));
+    return options.sensor.get();
+  }
+  ASSIGN_OR_RETURN(plain, uncalibratedSensor(frame, options.blackLevel));
+  return &*plain;
+}
+
 }  // namespace
 
 Result<double> referenceScale(const FrameMetadata& metadata, double referenceExposureSeconds,
@@ -46,15 +64,16 @@ Result<double> referenceScale(const FrameMetadata& metadata, double referenceExp
          std::pow(10.0, (referenceGainDb - metadata.gainDb) / 20);
 }
 
-Result<LinearFrame> linearise(const Frame& frame, const LineariseOptions& options) {
-  RETURN_IF_ERROR(checkFrame(frame));
+Result<double> saturatedFraction(const Frame& frame, const LineariseOptions& options) {
   std::optional<SensorModel> plain;
-  if (options.sensor) {
-    RETURN_IF_ERROR(options.sensor->checkFits(frame));
-  } else {
-    ASSIGN_OR_RETURN(plain, uncalibratedSensor(frame, options.blackLevel));
-  }
-  const SensorModel& sensor = plain ? *plain : *options.sensor;
+  ASSIGN_OR_RETURN(const SensorModel* const sensor, sensorOf(frame, options, plain));
+  return fractionSaturated(frame, *sensor);
+}
+
+Result<LinearFrame> linearise(const Frame& frame, const LineariseOptions& options) {
+  std::optional<SensorModel> plain;
+  ASSIGN_OR_RETURN(const SensorModel* const used, sensorOf(frame, options, plain));
+  const SensorModel& sensor = *used;
   double scale = 1;
   if (options.referenceExposureSeconds > 0) {
     ASSIGN_OR_RETURN(scale, referenceScale(frame.metadata, options.referenceExposureSeconds,
@@ -62,9 +81,7 @@ Result<LinearFrame> linearise(const Frame& frame, const LineariseOptions& option
   }
 
   LinearFrame result;
-  const auto top = static_cast<int>(std::ceil(sensor.response.saturationCount()));
-  result.saturatedFraction = static_cast<double>(countSaturated(frame, top)) /
-                             (static_cast<double>(frame.width) * frame.height);
+  result.saturatedFraction = fractionSaturated(frame, sensor);
   SamplePlane plane(frame.format, frame.width, frame.height);
   const CountConverter converter(sensor, scale);
   for (int y = 0; y < frame.height; ++y) {

@@ -19,6 +19,7 @@ usage() {
 ./run bench radiometry  response and exposure merge against OpenCV's, simulated and on a real bracket
 ./run bench response    the simulated rig's 8-bit camera, bracketed live: curve, hot pixels, vignetting against its truth
 ./run bench chain       the simulated rig from nothing: lenses, poses, recording; directions against its truth
+./run bench recording   30 frames a second from both cameras: what is kept, dropped, and how soon it is decided; [--quick]
 
 ./run bench engine      compressing, drawing, loading against this machine's limits, and growth (lightsketch bench)
 ./run bench compress    the paper's job on a set with shadows and highlights; [quick]
@@ -134,7 +135,7 @@ case "${1:-}" in
     trap '[ -z "$rig" ] || kill $rig 2>/dev/null; rm -rf "$work"' EXIT
     case $1 in kill) kill_recording ;; *) "$1" ;; esac
     ;;
-  lens | boards | radiometry | response | chain | compress | quality | bad_frames) bench_program "$@" ;;
+  lens | boards | radiometry | response | chain | recording | compress | quality | bad_frames) bench_program "$@" ;;
   ball) bench_program mirror_ball ;;
   light) bench_program illumination ;;
   engine) shift && exec "$program" bench "$@" ;;
