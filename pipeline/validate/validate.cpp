@@ -381,6 +381,8 @@ RadianceImage analyticSky() {
   return sky;
 }
 
+double exposureToShow(const RadianceImage& picture) { return exposureToShow(brightValue(picture)); }
+
 Result<PictureTriple> heldOutPictures(const Sketch& sketch, const RelightableModel& model,
                                       const DirectionInterpolator& interpolator, int id,
                                       double exposure) {

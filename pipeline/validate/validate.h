@@ -136,6 +136,9 @@ struct ValidationReport {
 // Every figure, as report.json holds it.
 Json toJson(const ValidationReport& report);
 
+// Factor on radiance at which 99 percent of the picture's values show as 90 percent grey or less.
+double exposureToShow(const RadianceImage& picture);
+
 // Frame `id` as captured, the model's picture under its light, and their difference, in full size,
 // at `exposure`. `interpolator` is the model's (interpolatorFor).
 Result<PictureTriple> heldOutPictures(const Sketch& sketch, const RelightableModel& model,

@@ -55,16 +55,20 @@ class EditQueue final : public QObject {
 
 class DropFrames final : public QUndoCommand {
  public:
-  DropFrames(Workspace& workspace, DropJob job, Edit redo, Edit undo, const QString& text)
-      : QUndoCommand(text), workspace_(workspace), job_(std::move(job)), redo_(redo), undo_(undo) {}
-  void redo() override { EditQueue::of(workspace_).add(redo_, job_); }
-  void undo() override { EditQueue::of(workspace_).add(undo_, job_); }
+  DropFrames(Workspace& workspace, DropJob job, Edit forward, Edit back, const QString& text)
+      : QUndoCommand(text),
+        workspace_(workspace),
+        job_(std::move(job)),
+        forward_(forward),
+        back_(back) {}
+  void redo() override { EditQueue::of(workspace_).add(forward_, job_); }
+  void undo() override { EditQueue::of(workspace_).add(back_, job_); }
 
  private:
   Workspace& workspace_;
   const DropJob job_;
-  const Edit redo_;
-  const Edit undo_;
+  const Edit forward_;
+  const Edit back_;
 };
 
 }  // namespace

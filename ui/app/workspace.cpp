@@ -71,6 +71,11 @@ bool Workspace::open(const std::filesystem::path& path) {
     show("develop");
     return true;
   }
+  if (info.isDir() && QFileInfo::exists(toQString(path / "report.json"))) {
+    setReport(path);
+    show("validate");
+    return true;
+  }
   if (info.isDir() && holdsPictures(QDir(info.filePath()))) {
     ImportOptions import;
     import.folder = path;

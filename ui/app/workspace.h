@@ -42,8 +42,9 @@ class Workspace final : public QObject {
   // The frames of the sketch at hand were changed on disk: recorded, dropped, restored.
   void touchSketch() { Q_EMIT sketchEdited(); }
 
-  // Opens whatever it is: a sketch, a model, a folder with a .lp file or pictures (imported beside
-  // it in the background). What it cannot open becomes a message. Returns whether it could be one.
+  // Opens whatever it is: a sketch, a model, a report, a folder with a .lp file or pictures
+  // (imported beside it in the background). What it cannot open becomes a message. Returns whether
+  // it could be one.
   bool open(const std::filesystem::path& path);
   QStringList recent() const;
 
