@@ -16,6 +16,7 @@ class Application final : public QApplication {
   // From now on each event's time goes to `statistics` ("UI thread blocked, ms"), which outlives
   // the event loop.
   void watch(Statistics& statistics) { statistics_ = &statistics; }
+  void unwatch() { statistics_ = nullptr; }
 
   bool notify(QObject* receiver, QEvent* event) override {
     if (!statistics_ || depth_ > 0) return QApplication::notify(receiver, event);
@@ -25,7 +26,7 @@ class Application final : public QApplication {
     const std::chrono::duration<double, std::milli> spent =
         std::chrono::steady_clock::now() - begin;
     --depth_;
-    statistics_->add("UI thread blocked, ms", spent.count());
+    if (statistics_) statistics_->add("UI thread blocked, ms", spent.count());
     return handled;
   }
 

@@ -38,15 +38,32 @@ int main(int argc, char** argv) {
   const QCommandLineOption frames(
       "rig-frames", "Simulated rig: serve so many frames rendered beforehand, in a loop.", "N",
       "0");
-  const QCommandLineOption rate("rig-rate", "Simulated rig: frames a second.", "F");
+  const QCommandLineOption rate("rig-rate", "Frames a second of both cameras.", "F");
   const QCommandLineOption addresses(
       "rig-addresses", "Simulated rig: loopback addresses of scene and source camera.", "A,B");
-  parser.addOptions({page, begin, seconds, stats, frames, rate, addresses});
+  const QCommandLineOption scene("scene", "Scene camera, e.g. aravis:192.168.1.20.", "ADDRESS");
+  const QCommandLineOption source("source", "Source camera, e.g. aravis:192.168.1.21.", "ADDRESS");
+  const QCommandLineOption model("camera-model", "The source camera's lens, of a calibration.",
+                                 "FILE");
+  const QCommandLineOption geometry("rig", "Where the cameras stand, of a calibration.", "FILE");
+  const QCommandLineOption settings("settings", "Keep the settings in this file.", "FILE");
+  parser.addOptions({page, begin, seconds, stats, frames, rate, addresses, scene, source, model,
+                     geometry, settings});
   parser.process(application);
 
-  Workspace workspace;
+  Workspace workspace(parser.value(settings));
   RigSetup setup = workspace.rig().setup();
-  if (setup.simulated) {
+  if (parser.isSet(scene) && parser.isSet(source)) {
+    setup.simulated = false;
+    setup.sceneCamera = parser.value(scene).toStdString();
+    setup.sourceCamera = parser.value(source).toStdString();
+    setup.sourceModel = toPath(parser.value(model));
+    setup.rigGeometry = toPath(parser.value(geometry));
+    if (parser.isSet(rate)) {
+      setup.scene.framesPerSecond = setup.source.framesPerSecond = parser.value(rate).toDouble();
+    }
+    workspace.rig().setSetup(setup);
+  } else if (setup.simulated) {
     setup.rig.prerenderedFrames = parser.value(frames).toInt();
     if (parser.isSet(rate)) {
       setup.rig.framesPerSecond = parser.value(rate).toDouble();
@@ -73,8 +90,10 @@ int main(int argc, char** argv) {
       QTimer::singleShot(0, &window, [&] { window.currentPage()->begin(); });
     }
     if (parser.isSet(seconds)) {
-      QTimer::singleShot(static_cast<int>(1000 * parser.value(seconds).toDouble()), &window,
-                         &QWidget::close);
+      QTimer::singleShot(static_cast<int>(1000 * parser.value(seconds).toDouble()), &window, [&] {
+        application.unwatch();  // closing waits for what runs
+        window.close();
+      });
     }
     code = application.exec();
   }

@@ -1,6 +1,7 @@
 #include "ui/app/sketch_page.h"
 
-#include <QFontMetrics>
+#include <QApplication>
+#include <QCheckBox>
 #include <QHBoxLayout>
 #include <QLabel>
 #include <QPushButton>
@@ -74,8 +75,10 @@ SketchPage::SketchPage(Workspace& workspace, QWidget* parent) : Page(workspace, 
   column->addWidget(buildButtons());
 
   auto* space = new QShortcut(Qt::Key_Space, this);
-  space->setContext(Qt::WidgetWithChildrenShortcut);
   connect(space, &QShortcut::activated, this, &SketchPage::begin);
+  // A box that is ticked with the same key has it.
+  connect(qApp, &QApplication::focusChanged, space,
+          [space](QWidget*, QWidget* now) { space->setEnabled(!qobject_cast<QCheckBox*>(now)); });
   auto* ticker = new QTimer(this);
   connect(ticker, &QTimer::timeout, this, &SketchPage::tick);
   ticker->start(kTickMilliseconds);
@@ -106,6 +109,14 @@ SketchPage::SketchPage(Workspace& workspace, QWidget* parent) : Page(workspace, 
   connect(hemisphere_, &HemisphereView::drawn, this, &SketchPage::dotsDrawn);
   connect(scene_, &FrameView::drawn, this, [this] { ++sceneDrawn_; });
   connect(source_, &FrameView::drawn, this, [this] { ++sourceDrawn_; });
+
+  // With cameras of 30 frames a second.
+  Statistics& statistics = workspace.statistics();
+  statistics.expectAtMost("frames dropped by the program", 0);
+  statistics.expectAtLeast("scene view, frames a second", 30);
+  statistics.expectAtLeast("source view, frames a second", 30);
+  statistics.expectAtMost("frame's arrival to its dot, ms", 50, Statistics::Of::kP95);
+  statistics.expectAtMost("UI thread blocked, ms", 50);
   replan();
   refreshControls();
   refreshPrompt();
@@ -284,8 +295,8 @@ void SketchPage::replan() {
   connect(task, &Task::finished, this, [this, task, wish, plan] {
     task->deleteLater();
     planning_ = false;
-    takePlan(wish, *plan);
-    if (planAgain_) replan();
+    // Of what is wished for no more, nothing is shown.
+    planAgain_ ? replan() : takePlan(wish, *plan);
   });
 }
 
@@ -400,11 +411,12 @@ void SketchPage::record() {
   workspace().undo().clear();
 
   rig.lend();
-  task_ = workspace().run(
-      tr("Recording"), [job = job_, session = session_](Progress& progress, std::stop_token stop) {
-        return recordJob(job, progress, std::move(stop),
-                         [&](const RecorderState& state) { session->put(state); });
-      });
+  task_ =
+      workspace().run(toQString(job_.sketch.filename()),
+                      [job = job_, session = session_](Progress& progress, std::stop_token stop) {
+                        return recordJob(job, progress, std::move(stop),
+                                         [&](const RecorderState& state) { session->put(state); });
+                      });
   connect(task_, &Task::finished, this, [this, task = task_.data()] { ended(task->result()); });
   tally_->clear();
   side_->setCurrentIndex(kTallySide);
@@ -470,7 +482,7 @@ void SketchPage::follow(const JudgedFrame& judged) {
     const std::size_t index = kept_.size();
     kept_.push_back({judged.direction.value_or(Vector3d::UnitZ())});
     pushUndo(tr("last frame"), [this, index] { kept_[index].there = false; });
-    waitingDots_.push_back(judged.arrival);
+    if (isVisible()) waitingDots_.push_back(judged.arrival);
     return;
   }
   const RefusalWords words = wordsFor(judged.refusal);
@@ -484,7 +496,7 @@ void SketchPage::follow(const JudgedFrame& judged) {
   if (dots_[static_cast<std::size_t>(nearest)] == SketchDot::kCaptured) return;
   refused_[nearest] = judged.decided;
   showDot(nearest, SketchDot::kRefused);
-  waitingDots_.push_back(judged.arrival);
+  if (isVisible()) waitingDots_.push_back(judged.arrival);
 }
 
 // A camera that was lost, and a lamp.
@@ -561,7 +573,7 @@ void SketchPage::ended(const Result<JobResult>& result) {
   outcome_ = done ? tr("Done") : tr("Stopped");
   outcomeDetail_ = tr("%1 frames recorded. Develop makes the picture; Space goes on recording.")
                        .arg(figures.value("recorded", 0));
-  teach(figures.value("refusals", Json::object()));
+  teach();
   side_->setCurrentIndex(kLessonsSide);
   workspace().say({"recorded", Workspace::Level::kInfo,
                    tr("%1: %2 % of the directions are there.")
@@ -573,7 +585,7 @@ void SketchPage::ended(const Result<JobResult>& result) {
 }
 
 // What was refused and how to do better, the most frequent first.
-void SketchPage::teach(const Json& /*refusals*/) {
+void SketchPage::teach() {
   std::vector<std::pair<int, Refusal>> counts;
   for (const auto& [refusal, count] : state_.refusals) counts.emplace_back(count, refusal);
   std::sort(counts.rbegin(), counts.rend());
@@ -656,6 +668,10 @@ SketchPrompt::Content SketchPage::idlePrompt() const {
     content.coverage = state_.coverage;
     content.word = tr("One moment");
     content.detail = tr("The last frames are written.");
+  } else if (!outcome_.isEmpty() && phase_ == Phase::kIdle) {
+    content.word = outcome_;
+    content.detail = outcomeDetail_;
+    content.mood = SketchPrompt::Mood::kGood;
   } else if (phase_ == Phase::kWaitingForCameras || rig.state() == RigLink::State::kOpening) {
     content.word = tr("One moment");
     content.detail = tr("The cameras are being opened.");
@@ -667,10 +683,6 @@ SketchPrompt::Content SketchPage::idlePrompt() const {
     content.word = tr("Not here");
     content.detail = planTrouble_;
     content.mood = SketchPrompt::Mood::kTrouble;
-  } else if (!outcome_.isEmpty()) {
-    content.word = outcome_;
-    content.detail = outcomeDetail_;
-    content.mood = SketchPrompt::Mood::kGood;
   } else {
     content.word = tr("Ready");
     content.detail = plan_.exists

@@ -66,7 +66,7 @@ class SketchPage final : public Page {
   void followCameras();
   void tick();
   void ended(const Result<JobResult>& result);
-  void teach(const Json& refusals);
+  void teach();
   void deleteRegion(const Eigen::Vector3d& centre, double radius);
   void pushUndo(const QString& text, std::function<void()> undo);
 

@@ -3,6 +3,7 @@
 #include <QAudioFormat>
 #include <QAudioSink>
 #include <QByteArray>
+#include <QFileInfo>
 #include <QLoggingCategory>
 #include <QMediaDevices>
 #include <algorithm>
@@ -53,6 +54,14 @@ QByteArray samplesOf(Sounds::Tone tone) {
   return bytes;
 }
 
+// Qt says on the console where it looked in vain for a sound server; better not to ask it then.
+bool soundServerThere() {
+  if (qEnvironmentVariableIsSet("PULSE_SERVER")) return true;
+  const QString folder = qEnvironmentVariable("PULSE_RUNTIME_PATH",
+                                              qEnvironmentVariable("XDG_RUNTIME_DIR") + "/pulse");
+  return QFileInfo::exists(folder + "/native");
+}
+
 }  // namespace
 
 class Sounds::Player final : public QObject {
@@ -69,6 +78,7 @@ class Sounds::Player final : public QObject {
  private:
   void open() {
     asked_ = true;
+    if (!soundServerThere()) return;
     const QAudioDevice output = QMediaDevices::defaultAudioOutput();
     if (output.isNull()) return;
     QAudioFormat format;

@@ -37,15 +37,48 @@ double Statistics::figure(const std::string& name) const {
   return found == figures_.end() ? 0 : found->second;
 }
 
+void Statistics::expectAtMost(const std::string& name, double bar, Of of) {
+  bars_[name].push_back({bar, of, true});
+}
+void Statistics::expectAtLeast(const std::string& name, double bar, Of of) {
+  bars_[name].push_back({bar, of, false});
+}
+
+std::string Statistics::describeBars(const std::string& name, const Summary& values) const {
+  std::string text;
+  const auto found = bars_.find(name);
+  if (found == bars_.end()) return text;
+  for (const Bar& bar : found->second) {
+    const auto [value, which] = [&]() -> std::pair<double, const char*> {
+      if (!series_.contains(name)) return {figure(name), ""};
+      switch (bar.of) {
+        case Of::kMedian:
+          return {values.median, "median "};
+        case Of::kP95:
+          return {values.p95, "95 % "};
+        case Of::kLargest:
+          return {values.largest, "largest "};
+      }
+      return {};
+    }();
+    const bool kept = bar.atMost ? value <= bar.value : value >= bar.value;
+    text += fmt::format("  {}{} {:g}: {}", which, bar.atMost ? "at most" : "at least", bar.value,
+                        kept ? "kept" : "MISSED");
+  }
+  return text;
+}
+
 std::string Statistics::describe() const {
   std::string text =
-      fmt::format("{:<44}{:>9}{:>10}{:>10}{:>10}\n", "", "count", "median", "95 %", "largest");
+      fmt::format("{:<36}{:>8}{:>9}{:>9}{:>9}  bar\n", "", "count", "median", "95 %", "largest");
   for (const auto& [name, values] : series_) {
     const Summary s = summary(name);
-    text += fmt::format("{:<44}{:>9}{:>10.2f}{:>10.2f}{:>10.2f}\n", name, s.count, s.median, s.p95,
-                        s.largest);
+    text += fmt::format("{:<36}{:>8}{:>9.2f}{:>9.2f}{:>9.2f}{}\n", name, s.count, s.median, s.p95,
+                        s.largest, describeBars(name, s));
   }
-  for (const auto& [name, value] : figures_) text += fmt::format("{:<44}{:>9g}\n", name, value);
+  for (const auto& [name, value] : figures_) {
+    text += fmt::format("{:<36}{:>8.4g}{:27}{}\n", name, value, "", describeBars(name, {}));
+  }
   return text;
 }
 

@@ -27,7 +27,11 @@ class Statistics {
   Summary summary(const std::string& series) const;
   // Nothing was said: 0.
   double figure(const std::string& name) const;
-  // A line per series and figure.
+  // What is to be kept to: printed beside the figure of that name.
+  enum class Of { kMedian, kP95, kLargest };  // of a series; a single figure is itself
+  void expectAtMost(const std::string& name, double bar, Of of = Of::kLargest);
+  void expectAtLeast(const std::string& name, double bar, Of of = Of::kMedian);
+  // A line per series and figure, with its bars and whether they are kept.
   std::string describe() const;
 
  private:
@@ -35,7 +39,15 @@ class Statistics {
     std::vector<double> values;
     std::size_t next = 0;
   };
+  struct Bar {
+    double value;
+    Of of;
+    bool atMost;
+  };
+  std::string describeBars(const std::string& name, const Summary& values) const;
+
   std::map<std::string, Series> series_;
+  std::map<std::string, std::vector<Bar>> bars_;
   std::map<std::string, double> figures_;
 };
 

@@ -11,6 +11,7 @@
 #include "tests/ui/app/app_test.h"
 #include "ui/app/frame_view.h"
 #include "ui/app/hemisphere_view.h"
+#include "ui/app/sketch_overlay.h"
 #include "ui/app/sketch_pace.h"
 #include "ui/app/sketch_prompt.h"
 
@@ -74,6 +75,14 @@ class SketchPageTest : public QObject {
   }
 
  private Q_SLOTS:
+  void fitsIntoASmallWindow() {
+    AppTest app(handHeldLamp());
+    const QSize least = app.window().page("sketch")->minimumSizeHint();
+    // Beside the pages' list and between menu and status bar.
+    QVERIFY2(least.width() <= 1280 - 116 && least.height() <= 720 - 60,
+             qPrintable(QString("%1 x %2").arg(least.width()).arg(least.height())));
+  }
+
   void recordsIsPausedTakesBackAndShootsARegionAgain() {
     AppTest app(handHeldLamp());
     QVERIFY(ready(app, 90));
