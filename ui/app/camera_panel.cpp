@@ -129,6 +129,7 @@ CameraPanel::CameraPanel(RigLink& rig, bool sceneCamera, QWidget* parent)
   column->addWidget(answer_);
   link_ = new QLabel;
   link_->setObjectName("link");
+  link_->setMinimumWidth(200);
   link_->setToolTip(
       tr("Lost: frames the camera made that never arrived. Incomplete: arrived with parts missing. "
          "Dropped: no memory was free for them. Any of these in numbers means that the network "

@@ -130,6 +130,10 @@ class RigLink::Worker {
  private:
   Result<CameraSettings> openOne(const std::string& address, const CameraSettings& settings,
                                  LiveView& view, std::unique_ptr<Camera>& into) {
+    if (address.empty()) {
+      return failure(ErrorCode::kInvalidArgument,
+                     "choose both cameras on the Rig page, or use the simulated rig");
+    }
     ASSIGN_OR_RETURN(auto camera, openCamera(address));
     ASSIGN_OR_RETURN(const CameraSettings now, camera->configure(settings));
     into = tapped(std::move(camera), view);

@@ -149,6 +149,7 @@ QLayout* RigPage::buildFiles() {
     auto* label = new QLabel;
     label->setObjectName(name);
     label->setToolTip(tip);
+    label->setMinimumWidth(60);  // long names are cut, the window stays narrow
     row->addWidget(label);
     auto* choose = new QPushButton(tr("Choose ..."));
     choose->setObjectName(name + "Choose");
@@ -167,8 +168,9 @@ QLayout* RigPage::buildFiles() {
     row->addSpacing(10);
     files_.push_back({label, which});
   };
-  add("lensFile", tr("Lens of the source camera"),
-      tr("Which pixel looks in which direction. Without it no light has a direction."),
+  add("lensFile", tr("Lens"),
+      tr("Of the source camera: which pixel looks in which direction. Without it no light has a "
+         "direction."),
       &CalibrationFiles::sourceModel);
   add("posesFile", tr("Poses"),
       tr("Where the cameras stand, rig.json. Without it the source camera is taken to stand "

@@ -88,7 +88,7 @@ class CalibratePageTest : public QObject {
     std::vector<Eigen::Vector2d> corners;
     for (int y = 5; y < 960; y += 30) {
       for (int x = 5; x < 960; x += 30) {
-        if (x < 600 || y < 600) corners.emplace_back(x, y);
+        if (x < 500 || y < 500) corners.emplace_back(x, y);
       }
     }
     const FieldCoverage most(corners, picture);

@@ -16,14 +16,24 @@ namespace {
 constexpr int kStart = 30'000;  // the rig builds its still life first
 constexpr int kAnswer = 10'000;
 
+constexpr double kRate = 8;
+
 // Nothing moves and the light is steady, so that a setting alone changes the picture.
-RigSetup still() {
+SimulatedRigOptions still() {
+  SimulatedRigOptions rig;
+  rig.sceneAddress = "127.0.41.11";
+  rig.sourceAddress = "127.0.41.12";
+  rig.program = RigProgram::kStill;
+  rig.framesPerSecond = kRate;
+  return rig;
+}
+
+RigSetup camerasAt(const std::string& scene, const std::string& source) {
   RigSetup setup;
-  setup.rig.sceneAddress = "127.0.41.11";
-  setup.rig.sourceAddress = "127.0.41.12";
-  setup.rig.program = RigProgram::kStill;
-  setup.rig.framesPerSecond = 8;
-  setup.scene.framesPerSecond = setup.source.framesPerSecond = 8;
+  setup.simulated = false;
+  setup.sceneCamera = "aravis:" + scene;
+  setup.sourceCamera = "aravis:" + source;
+  setup.scene.framesPerSecond = setup.source.framesPerSecond = kRate;
   return setup;
 }
 
@@ -42,10 +52,16 @@ double meanCount(const ViewPicture& picture) {
 class RigPageTest : public QObject {
   Q_OBJECT
 
+  std::unique_ptr<SimulatedRig> rig_;  // for the tests that need cameras and nothing else
+
   static bool live(AppTest& app) {
     RigLink& rig = app.workspace().rig();
-    return QTest::qWaitFor([&] { return rig.sceneView().picture() && rig.sourceView().picture(); },
-                           kStart);
+    return QTest::qWaitFor(
+        [&] {
+          return rig.state() == RigLink::State::kLive && rig.sceneView().picture() &&
+                 rig.sourceView().picture();
+        },
+        kStart);
   }
   template <class Widget>
   static Widget* in(AppTest& app, const char* panel, const char* name) {
@@ -63,8 +79,19 @@ class RigPageTest : public QObject {
   }
 
  private Q_SLOTS:
+  void initTestCase() {
+    auto rig = SimulatedRig::start(still());
+    QVERIFY2(rig.has_value(), rig ? "" : rig.error().message.c_str());
+    rig_ = std::move(*rig);
+  }
+
   void withoutCamerasTheSimulatedRigIsSeen() {
-    AppTest app(still());
+    RigSetup setup;
+    setup.rig = still();
+    setup.rig.sceneAddress = "127.0.41.13";
+    setup.rig.sourceAddress = "127.0.41.14";
+    setup.scene.framesPerSecond = setup.source.framesPerSecond = kRate;
+    AppTest app(setup);
     QCOMPARE(app.find<QComboBox>("mode")->currentIndex(), 0);
     QVERIFY(live(app));
     QTRY_COMPARE_WITH_TIMEOUT(app.find<QLabel>("state")->text(), "live", kAnswer);
@@ -74,15 +101,15 @@ class RigPageTest : public QObject {
         in<QLabel>(app, "scenePanel", "link")->text().contains("0 lost, 0 incomplete, 0 dropped"),
         kAnswer);
     QTRY_VERIFY_WITH_TIMEOUT(app.find<QLabel>("pairing")->text().contains(" ms apart"), kAnswer);
-    // Both run free at 8 frames a second: nearest frames are at most half a period apart.
+    // Both run free: nearest frames are at most half a period apart.
     const double apart = app.find<QLabel>("pairing")->text().split(' ').at(6).toDouble();
-    QVERIFY2(apart >= 0 && apart < 1000.0 / 8 / 2 + 10, qPrintable(QString::number(apart)));
+    QVERIFY2(apart >= 0 && apart < 1000 / kRate / 2 + 10, qPrintable(QString::number(apart)));
     QVERIFY(in<QLabel>(app, "scenePanel", "answer")->text().contains("exposure 20 ms"));
     app.screenshot("rig");
   }
 
   void aLongerExposureIsAnsweredAndMakesThePictureBrighter() {
-    AppTest app(still());
+    AppTest app(camerasAt("127.0.41.11", "127.0.41.12"));
     QVERIFY(live(app));
     RigLink& rig = app.workspace().rig();
     QVERIFY(expose(app, 10));
@@ -94,8 +121,9 @@ class RigPageTest : public QObject {
     // is one of 64 bins; bins round by half of one.
     QVERIFY2(bright - 1 > 2 * (dark - 1), qPrintable(QString("%1 %2").arg(dark).arg(bright)));
 
-    // So long that much of it saturates: counted, and painted red.
+    // So long, and amplified so much, that it saturates: counted, and painted red.
     in<QCheckBox>(app, "scenePanel", "saturationOverlay")->setChecked(true);
+    in<QDoubleSpinBox>(app, "scenePanel", "gain")->setValue(12);
     QVERIFY(expose(app, 1000));
     QTRY_VERIFY_WITH_TIMEOUT(rig.sceneView().picture()->saturatedFraction > 0.2, kAnswer);
     const auto picture = rig.sceneView().picture();
@@ -116,7 +144,7 @@ class RigPageTest : public QObject {
   }
 
   void whatTheCameraCannotDoIsSaidInWordsAndNotRemembered() {
-    AppTest app(still());
+    AppTest app(camerasAt("127.0.41.11", "127.0.41.12"));
     QVERIFY(live(app));
     in<QDoubleSpinBox>(app, "scenePanel", "exposure")->setValue(100'000);
     auto* answer = in<QLabel>(app, "scenePanel", "answer");
@@ -127,7 +155,7 @@ class RigPageTest : public QObject {
   }
 
   void aDraggedRegionIsReadUntilTheFullFrameIsAsked() {
-    AppTest app(still());
+    AppTest app(camerasAt("127.0.41.11", "127.0.41.12"));
     QVERIFY(live(app));
     RigLink& rig = app.workspace().rig();
     auto* view = in<RegionView>(app, "sourcePanel", "picture");
@@ -161,12 +189,7 @@ class RigPageTest : public QObject {
     QProcess process;
     process.start(LIGHTSKETCH_BINARY, arguments);
     QVERIFY(process.waitForReadyRead(kStart));
-    RigSetup setup;
-    setup.simulated = false;
-    setup.sceneCamera = "aravis:127.0.41.21";
-    setup.sourceCamera = "aravis:127.0.41.22";
-    setup.scene.framesPerSecond = setup.source.framesPerSecond = 8;
-    AppTest app(setup);
+    AppTest app(camerasAt("127.0.41.21", "127.0.41.22"));
     QVERIFY(live(app));
     QVERIFY(app.banner("camera").isEmpty());
     QCOMPARE(app.find<QPushButton>("calibrate")->text(), "Calibrate the lens first");
