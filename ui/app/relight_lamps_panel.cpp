@@ -76,7 +76,7 @@ LampsPanel::LampsPanel(Workspace& workspace, QWidget* parent) : RelightPanel(wor
 
   hemisphere_ = new HemisphereView;
   hemisphere_->setObjectName("hemisphere");
-  hemisphere_->setMinimumHeight(216);
+  hemisphere_->setMinimumHeight(190);
   hemisphere_->setToolTip(tr(
       "The lamps as one sees them standing before the object: in the middle light falls straight "
       "on it, at the rim it grazes the surface. Drag a lamp, or click it and use the arrow "

@@ -12,7 +12,6 @@
 #include <QMimeData>
 #include <QPushButton>
 #include <QScreen>
-#include <QScrollArea>
 #include <QStackedWidget>
 #include <QTimer>
 #include <QToolButton>
@@ -28,7 +27,7 @@
 namespace lightsketch {
 namespace {
 
-constexpr int kColumnWidth = 292;
+constexpr int kColumnWidth = 316;
 constexpr int kStop = 10;  // steps of the exposure slider to a factor of two
 constexpr int kMostStops = 10;
 constexpr double kFilmRate = 30;
@@ -56,13 +55,8 @@ RelightPage::RelightPage(Workspace& workspace, QWidget* parent) : Page(workspace
          "the lamp goes with the pointer."));
   across->addWidget(view_, 1);
   column_ = new QWidget;
-  auto* scroll = new QScrollArea;
-  scroll->setWidget(column_);
-  scroll->setWidgetResizable(true);
-  scroll->setFrameShape(QFrame::NoFrame);
-  scroll->setHorizontalScrollBarPolicy(Qt::ScrollBarAlwaysOff);
-  scroll->setFixedWidth(kColumnWidth);
-  across->addWidget(scroll);
+  column_->setFixedWidth(kColumnWidth);
+  across->addWidget(column_);
   buildColumn();
   buildActions();
   connectView(*view_);
@@ -114,6 +108,12 @@ void RelightPage::buildColumn() {
     button->setCheckable(true);
     button->setSizePolicy(QSizePolicy::Expanding, QSizePolicy::Fixed);
     button->setMinimumHeight(30);
+    button->setStyleSheet(
+        "QToolButton { border: none; border-radius: 3px; background: palette(button); }"
+        "QToolButton:hover { background: palette(midlight); }"
+        "QToolButton:focus { border: 1px solid palette(highlight); }"
+        "QToolButton:checked { background: palette(highlight); color: palette(highlighted-text); }"
+        "QToolButton:disabled { color: palette(mid); }");
     kinds_->addButton(button, i);
     row->addWidget(button);
   }
@@ -204,7 +204,7 @@ void RelightPage::buildColumn() {
   column->addLayout(buttons);
   numbers_ = explained({});
   numbers_->setObjectName("numbers");
-  numbers_->setMinimumHeight(2 * fontMetrics().lineSpacing());
+  numbers_->setMinimumHeight(3 * fontMetrics().lineSpacing());
   numbers_->setToolTip(
       tr("When this machine cannot draw all detail in time, the display leaves out "
          "the least of it while the light moves, and adds it when it rests."));

@@ -20,7 +20,7 @@ PathPanel::PathPanel(Workspace& workspace, QWidget* parent) : RelightPanel(works
   name_ = explained({});
   column->addWidget(name_);
   hemisphere_ = new HemisphereView;
-  hemisphere_->setMinimumHeight(216);
+  hemisphere_->setMinimumHeight(190);
   hemisphere_->setAccessibleName(tr("Path of the lamp"));
   column->addWidget(hemisphere_, 1);
   time_ = addSlider(*column, tr("Time"), tr("Where on its path the lamp is"), 0, kTicks, 0);

@@ -17,7 +17,6 @@ RoomPanel::RoomPanel(Workspace& workspace, QWidget* parent) : RelightPanel(works
          "walk past, hold a torch, open a curtain.")));
   view_ = new FrameView(workspace.rig().sourceView());
   view_->setPlaceholder(tr("No camera"));
-  view_->setMinimumHeight(200);
   column->addWidget(view_, 1);
   state_ = new QLabel;
   state_->setWordWrap(true);

@@ -1,11 +1,11 @@
 #include "ui/app/relight_view.h"
 
 #include <QKeyEvent>
+#include <QLabel>
 #include <QMouseEvent>
 #include <QOpenGLContext>
 #include <QOpenGLFunctions>
 #include <QOpenGLPixelTransferOptions>
-#include <QPainter>
 #include <QTimer>
 #include <QWheelEvent>
 #include <algorithm>
@@ -33,6 +33,16 @@ RelightView::RelightView(QWidget* parent)
   setMinimumSize(320, 240);
   setFocusPolicy(Qt::StrongFocus);
   setAccessibleName(tr("Relit picture"));
+  placeholder_ = new QLabel(this);
+  relitCaption_ = new QLabel(tr("relit"), this);
+  photographCaption_ = new QLabel(this);
+  for (QLabel* words : {placeholder_, relitCaption_, photographCaption_}) {
+    words->setAlignment(Qt::AlignCenter);
+    words->setMargin(6);
+    words->setStyleSheet("color: rgb(190, 190, 190);");  // on the dark ground of either theme
+    words->setAttribute(Qt::WA_TransparentForMouseEvents);
+  }
+  placeholder_->setWordWrap(true);
   refine_->setSingleShot(true);
   connect(refine_, &QTimer::timeout, this, [this] {
     if (drawnShare_ == 1) return;
@@ -67,6 +77,7 @@ void RelightView::setScene(std::shared_ptr<RelightScene> scene) {
     buffer_.assign(strideBytes_ * static_cast<std::size_t>(scene_->height()) + 64, std::byte{0});
   }
   stale_ = true;
+  placeWords();
   update();
 }
 
@@ -78,7 +89,8 @@ void RelightView::setExposure(float exposure, Tone tone) {
 
 void RelightView::setPhotograph(const QImage& photograph, const QString& caption) {
   photograph_ = photograph.isNull() ? QImage() : photograph.convertToFormat(QImage::Format_RGB32);
-  caption_ = caption;
+  photographCaption_->setText(caption);
+  placeWords();
   if (photographTexture_) {
     makeCurrent();
     photographTexture_.reset();
@@ -89,8 +101,26 @@ void RelightView::setPhotograph(const QImage& photograph, const QString& caption
 }
 
 void RelightView::setPlaceholder(const QString& text) {
-  placeholder_ = text;
-  update();
+  placeholder_->setText(text);
+  placeWords();
+}
+
+void RelightView::placeWords() {
+  placeholder_->setVisible(!scene_);
+  placeholder_->setGeometry(rect().adjusted(40, 40, -40, -40));
+  const auto below = [&](QLabel* caption, const QRectF& pane) {
+    caption->setVisible(scene_ && !photograph_.isNull());
+    const int height = caption->sizeHint().height();
+    caption->setGeometry(pane.toRect().adjusted(0, this->height() - height, 0, 0));
+  };
+  below(relitCaption_, picturePane());
+  below(photographCaption_, photographPane());
+}
+
+void RelightView::resizeEvent(QResizeEvent* event) {
+  QOpenGLWidget::resizeEvent(event);
+  stale_ = true;  // more of a zoomed picture may be in sight
+  placeWords();
 }
 
 void RelightView::setHidesPointer(bool on) {
@@ -226,16 +256,7 @@ void RelightView::paintGL() {
   auto* gl = QOpenGLContext::currentContext()->functions();
   gl->glClearColor(kGround / 255.0f, kGround / 255.0f, kGround / 255.0f, 1);
   gl->glClear(GL_COLOR_BUFFER_BIT);
-  if (!scene_) {
-    QPainter painter(this);
-    painter.setPen(QColor(150, 150, 150));
-    QFont large = font();
-    large.setPointSizeF(large.pointSizeF() * 1.3);
-    painter.setFont(large);
-    painter.drawText(rect().adjusted(40, 40, -40, -40), Qt::AlignCenter | Qt::TextWordWrap,
-                     placeholder_);
-    return;
-  }
+  if (!scene_) return;
   if (stale_) draw();
 
   const double ratio = devicePixelRatioF();
@@ -264,20 +285,6 @@ void RelightView::paintGL() {
     blit(*photographTexture_, photographPane());
   }
   blitter_.release();
-
-  if (!photograph_.isNull()) {
-    QPainter painter(this);
-    painter.setRenderHint(QPainter::Antialiasing);
-    const auto caption = [&](const QRectF& pane, const QString& text) {
-      const QRectF line(pane.left(), pane.bottom() - 30, pane.width(), 30);
-      painter.setPen(QColor(0, 0, 0, 200));
-      painter.drawText(line.translated(1, 1), Qt::AlignCenter, text);
-      painter.setPen(QColor(220, 220, 220));
-      painter.drawText(line, Qt::AlignCenter, text);
-    };
-    caption(picturePane(), tr("relit"));
-    caption(photographPane(), caption_);
-  }
 }
 
 void RelightView::presented() {

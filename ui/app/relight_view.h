@@ -13,6 +13,7 @@
 #include "pipeline/relight/frame_rate_governor.h"
 #include "ui/app/relight_scene.h"
 
+class QLabel;
 class QTimer;
 
 namespace lightsketch {
@@ -62,6 +63,7 @@ class RelightView final : public QOpenGLWidget {
  protected:
   void initializeGL() override;
   void paintGL() override;
+  void resizeEvent(QResizeEvent* event) override;
   void mousePressEvent(QMouseEvent* event) override;
   void mouseMoveEvent(QMouseEvent* event) override;
   void mouseReleaseEvent(QMouseEvent* event) override;
@@ -80,14 +82,16 @@ class RelightView final : public QOpenGLWidget {
   PixelRectangle visible() const;
   void presented();
   void releaseTextures();
+  void placeWords();
 
   std::shared_ptr<RelightScene> scene_;
   std::function<void()> prepare_;
   float exposure_ = 1;
   Tone tone_ = Tone::kPlain;
   QImage photograph_;
-  QString caption_;
-  QString placeholder_;
+  QLabel* placeholder_;
+  QLabel* relitCaption_;
+  QLabel* photographCaption_;
 
   ScreenRenderer renderer_;
   FrameRateGovernor governor_;

@@ -5,6 +5,7 @@
 #include <QSignalSpy>
 #include <QTest>
 #include <cmath>
+#include <memory>
 
 #include "pipeline/compress/compress.h"
 #include "pipeline/illumination/light_grid.h"
@@ -54,8 +55,17 @@ class RelightPageTest : public QObject {
   std::filesystem::path sketch_;
   std::filesystem::path model_;
 
+  // One window for all: each would start a simulated rig.
+  std::unique_ptr<AppTest> app_;
+
+  // The page as it is with the model just opened.
   RelightPage& opened(AppTest& app) {
     auto* page = static_cast<RelightPage*>(app.window().page("relight"));
+    page->setLight(RelightPage::Light::kLamps);
+    page->lamps().setMoving(false);
+    page->path().setMoving(false);
+    page->lamps().setLamps({LampsPanel::Lamp{}});
+    app.workspace().undo().clear();
     QSignalSpy shown(page, &RelightPage::sceneShown);
     app.workspace().open(model_);
     if (shown.isEmpty()) (void)shown.wait(10000);
@@ -81,7 +91,10 @@ class RelightPageTest : public QObject {
   void initTestCase() {
     sketch_ = toPath(folder_.filePath("ball"));
     const auto grid = LightGrid::create(100);
-    auto sketch = Sketch::create(sketch_, {.width = kWidth, .height = kHeight});
+    SketchManifest manifest;
+    manifest.width = kWidth;
+    manifest.height = kHeight;
+    auto sketch = Sketch::create(sketch_, manifest);
     QVERIFY2(sketch.has_value(), sketch ? "" : sketch.error().message.c_str());
     double seconds = 0;
     for (const Vector3d& direction : grid->directions()) {
@@ -99,10 +112,12 @@ class RelightPageTest : public QObject {
     made->model.sketch = sketch_.string();
     model_ = toPath(folder_.filePath("ball.lsd"));
     QVERIFY(saveModel(made->model, model_).has_value());
+    app_ = std::make_unique<AppTest>();
   }
+  void cleanupTestCase() { app_.reset(); }
 
   void aLampLightsTheSideItStandsOn() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     page.lamps().setLamps({{Vector3d(-0.9, 0, 0.44).normalized()}});
     page.findExposure();
@@ -115,7 +130,7 @@ class RelightPageTest : public QObject {
   }
 
   void draggingThePictureMovesTheLampAndUndoTakesItBack() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     const Vector3d before = page.lamps().lamps()[0].direction;
     const QPoint middle = page.view().rect().center();
@@ -129,7 +144,7 @@ class RelightPageTest : public QObject {
   }
 
   void lampsAreAddedAndRemovedByKeys() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     page.view().setFocus();
     QTest::keyClick(&page.view(), Qt::Key_Insert);
@@ -142,7 +157,7 @@ class RelightPageTest : public QObject {
   }
 
   void threeLampsGoRound() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     page.lamps().setLamps({{Vector3d(-0.7, 0.3, 0.6).normalized(), QColor(255, 200, 150), 1, 3},
                            {Vector3d(0.7, 0.3, 0.6).normalized(), QColor(150, 200, 255), 1, 12},
@@ -158,7 +173,7 @@ class RelightPageTest : public QObject {
   }
 
   void surroundingsAreTurnedByDraggingThePicture() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     idle(app);
     // A sky that is bright in a quarter only: at -x, the right quarter of the map.
@@ -188,7 +203,7 @@ class RelightPageTest : public QObject {
   }
 
   void theSketchsOwnPathIsPlayed() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     idle(app);
     page.setLight(RelightPage::Light::kPath);
@@ -199,7 +214,7 @@ class RelightPageTest : public QObject {
   }
 
   void aPhotographStandsBesideThePictureOfItsLamp() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     idle(app);
     auto* list = app.find<QComboBox>("photographs");
@@ -214,7 +229,7 @@ class RelightPageTest : public QObject {
   }
 
   void pictureAndFilmAreSaved() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     idle(app);
     page.savePicture(app.path("picture.exr"));
@@ -231,19 +246,19 @@ class RelightPageTest : public QObject {
   }
 
   void aCancelledFilmLeavesNothing() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     idle(app);
     QSignalSpy started(&app.workspace(), &Workspace::taskStarted);
-    page.saveFilm(app.path("film"), 500);
+    page.saveFilm(app.path("cancelled"), 500);
     started.front().front().value<Task*>()->cancel();
     idle(app);
-    QVERIFY(!std::filesystem::exists(app.path("film")));
-    QVERIFY(!std::filesystem::exists(app.path("film.partial")));
+    QVERIFY(!std::filesystem::exists(app.path("cancelled")));
+    QVERIFY(!std::filesystem::exists(app.path("cancelled.partial")));
   }
 
   void theFullScreenShowsThePictureAloneAndEscapeLeavesIt() {
-    AppTest app;
+    AppTest& app = *app_;
     RelightPage& page = opened(app);
     page.fillScreen(page.screen());
     RelightView* view = page.fullScreenView();
