@@ -93,7 +93,6 @@ SketchPage::SketchPage(Workspace& workspace, QWidget* parent) : Page(workspace, 
     const RigLink::State now = this->workspace().rig().state();
     if (now == RigLink::State::kLive) {
       replan();  // a simulated rig brings its calibration
-      if (phase_ == Phase::kWaitingForCameras) record();
     } else if (now == RigLink::State::kFailed && phase_ == Phase::kWaitingForCameras) {
       phase_ = Phase::kIdle;
     }
@@ -183,6 +182,7 @@ QWidget* SketchPage::buildSide() {
 
   side_ = new QStackedWidget;
   wishes_ = new SketchOptions(workspace());
+  wishes_->setObjectName("options");
   side_->insertWidget(kOptionsSide, wishes_);
   tally_ = new QLabel;
   tally_->setObjectName("tally");
@@ -304,6 +304,7 @@ void SketchPage::takePlan(const SketchWish& wish, const Result<SketchPlan>& plan
   if (phase_ != Phase::kIdle && phase_ != Phase::kWaitingForCameras) return;
   planTrouble_.clear();
   if (!plan) {
+    phase_ = Phase::kIdle;
     planTrouble_ = QString::fromStdString(plan.error().message);
     wishes_->showTrouble(planTrouble_);
     refreshControls();
@@ -338,6 +339,9 @@ void SketchPage::takePlan(const SketchWish& wish, const Result<SketchPlan>& plan
   }
   hemisphere_->setDots(std::move(dots));
   source_->update();
+  if (phase_ == Phase::kWaitingForCameras && workspace().rig().state() == RigLink::State::kLive) {
+    return record();
+  }
   refreshControls();
   refreshPrompt();
 }
@@ -372,9 +376,10 @@ void SketchPage::begin() {
   if (phase_ == Phase::kRecording) return togglePause();
   if (phase_ != Phase::kIdle) return;
   RigLink& rig = workspace().rig();
-  if (rig.state() == RigLink::State::kLive) return record();
+  const bool live = rig.state() == RigLink::State::kLive;
+  if (live && !planning_) return record();
   phase_ = Phase::kWaitingForCameras;
-  rig.reopen();
+  if (!live) rig.reopen();
   refreshControls();
   refreshPrompt();
 }
@@ -502,7 +507,9 @@ void SketchPage::follow(const JudgedFrame& judged) {
 // A camera that was lost, and a lamp.
 void SketchPage::followCameras() {
   if (!state_.waitingFor.empty()) {
-    const QString text = QString::fromStdString(state_.waitingFor);
+    QString text = QString::fromStdString(state_.waitingFor);
+    text[0] = text[0].toUpper();
+    workspace().withdraw("warning/" + task_->title());  // says the same
     workspace().say({"recording", Workspace::Level::kWarning,
                      tr("%1. All %2 frames are kept; the recording goes on as soon as it is back.")
                          .arg(text)
@@ -538,6 +545,7 @@ void SketchPage::tick() {
   }
   if (phase_ != Phase::kRecording) return;
   refreshPrompt();
+  measure();
   QString text =
       tr("<b>%1</b><br>%2 frames kept").arg(toQString(job_.sketch.filename())).arg(state_.recorded);
   for (const auto& [refusal, count] : state_.refusals) {
@@ -701,7 +709,8 @@ SketchPrompt::Content SketchPage::recordingPrompt() const {
   if (!state_.waitingFor.empty()) {
     content.word = tr("Camera lost");
     content.detail =
-        tr("%1. Everything so far is kept.").arg(QString::fromStdString(state_.waitingFor));
+        tr("Everything so far is kept. Look after its cable and power; the recording goes on by "
+           "itself.");
     content.mood = SketchPrompt::Mood::kTrouble;
     return content;
   }
