@@ -27,7 +27,7 @@ namespace {
 constexpr double kShortestSeconds = 1e-5;
 constexpr int kStepsPerDecade = 100;
 constexpr int kDecades = 5;
-constexpr std::size_t kExposures = 8;
+constexpr double kExposuresSeconds = 3;  // that the pairing of the cameras is told from
 // While a slider is dragged, the camera is asked ten times a second.
 constexpr int kAskMilliseconds = 100;
 constexpr int kLeastRegion = 16;  // pixels; anything smaller was a click
@@ -83,9 +83,9 @@ void RegionView::mouseMoveEvent(QMouseEvent* event) {
   update();
 }
 
-void RegionView::mouseReleaseEvent(QMouseEvent*) {
+void RegionView::mouseReleaseEvent(QMouseEvent* event) {
   if (!from_) return;
-  const QRectF drawn = QRectF(*from_, to_).normalized() & pictureRectangle();
+  const QRectF drawn = QRectF(*from_, event->position()).normalized() & pictureRectangle();
   from_.reset();
   update();
   const QRect pixels = widgetFromFrame().inverted().mapRect(drawn).toRect();
@@ -325,7 +325,9 @@ void CameraPanel::showPicture() {
     return;
   }
   exposures_.push_back(picture->metadata.midExposure);
-  if (exposures_.size() > kExposures) exposures_.pop_front();
+  while (toSeconds(exposures_.back() - exposures_.front()) > kExposuresSeconds) {
+    exposures_.pop_front();
+  }
   saturated_->setText(tr("%1 % saturated").arg(100 * picture->saturatedFraction, 0, 'f', 2));
   sharpest_ = std::max(sharpest_, picture->focus);
   focus_->setValue(sharpest_ > 0 ? static_cast<int>(1000 * picture->focus / sharpest_) : 0);

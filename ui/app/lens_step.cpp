@@ -267,6 +267,7 @@ void LensStep::finished(const Result<JobResult>& result) {
   pictures_->currentWidget()->update();
   if (!result) return;
   const Json& figures = result->figures;
+  say(tr("The lens is known"));
   map_->setField(*field_);
   figures_->setText(describeLens(figures) + "<br>" + linkTo(report_, tr("Open the report")));
   advice_->setText(adviceOn(figures));

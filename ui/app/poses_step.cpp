@@ -145,6 +145,7 @@ void PosesStep::told(const LiveViewState& state) {
 void PosesStep::finished(const Result<JobResult>& result) {
   for (FrameView* picture : pictures_) picture->update();
   if (!result) return;
+  say(tr("The poses are known"));
   const Json& pose = result->figures["pose"];
   QString text = tr("<b>Poses</b> from %1 moments seen by both, residual %2 px")
                      .arg(pose["used"].get<int>())

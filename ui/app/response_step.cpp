@@ -111,7 +111,7 @@ ResponseStep::ResponseStep(Workspace& workspace, QWidget* parent)
   across->setSpacing(12);
   plot_ = new ResponsePlot;
   plot_->setObjectName("responsePlot");
-  across->addWidget(plot_, 1);
+  across->addWidget(plot_, 1, Qt::AlignTop);
   auto* column = new QVBoxLayout;
   figures_ = new QLabel;
   figures_->setObjectName("responseFigures");
@@ -176,6 +176,7 @@ void ResponseStep::finished(const Result<JobResult>& result) {
   if (!result) return;
   const auto sensor = sensorModelFromJson(result->figures["sensor"], "response");
   if (!sensor) return say(tr("It did not work"), QString::fromStdString(sensor.error().message));
+  say(tr("The response is known"));
   plot_->setCurve(sensor->response);
   figures_->setText(describeSensor(*sensor) + "<br>" +
                     linkTo(folder_ / "report/index.html", tr("Open the report")));

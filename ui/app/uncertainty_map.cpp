@@ -2,7 +2,6 @@
 
 #include <QLinearGradient>
 #include <QPainter>
-#include <QPainterPath>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -80,26 +79,24 @@ void UncertaintyMap::paintEvent(QPaintEvent*) {
     most = std::max(most, sigma);
   }
   least = std::max(std::min(least, most / 2), 1e-6);
-  constexpr double kTurn = 360.0 / FieldUncertainty::kAzimuths;
-  // A hair wider than it is, so that nothing shines through between two of them.
+  constexpr double kTurn = 2 * std::numbers::pi / FieldUncertainty::kAzimuths;
+  // A hair larger than they are, so that nothing shines through between two of them.
   constexpr double kOverlap = 0.3;
   for (std::size_t i = 0; i < field_.sigmaDegrees.size(); ++i) {
     const double sigma = field_.sigmaDegrees[i];
     if (sigma < 0) continue;
     const auto ring = static_cast<double>(i / FieldUncertainty::kAzimuths);
-    const auto azimuth = static_cast<double>(i % FieldUncertainty::kAzimuths);
+    const double azimuth = kTurn * static_cast<double>(i % FieldUncertainty::kAzimuths);
     const double inner = scale * FieldUncertainty::kStepDegrees * ring;
     const double outer = std::min(inner + scale * FieldUncertainty::kStepDegrees + kOverlap,
                                   scale * field_.rimDegrees);
-    const auto square = [&](double radius) {
-      return QRectF(centre.x() - radius, centre.y() - radius, 2 * radius, 2 * radius);
+    const double turn = kTurn + kOverlap / outer;
+    const auto at = [&](double radius, double angle) {
+      return centre + radius * QPointF(std::cos(angle), std::sin(angle));
     };
-    // Qt counts angles against the clock; pictures have y downwards.
-    QPainterPath path;
-    path.arcMoveTo(square(inner), -azimuth * kTurn);
-    path.arcTo(square(inner), -azimuth * kTurn, -kTurn - kOverlap);
-    path.arcTo(square(outer), -(azimuth + 1) * kTurn - kOverlap, kTurn + kOverlap);
-    painter.fillPath(path, colourAt(std::log(sigma / least) / std::log(most / least)));
+    painter.setBrush(colourAt(std::log(sigma / least) / std::log(most / least)));
+    painter.drawPolygon(QPolygonF{at(inner, azimuth), at(outer, azimuth), at(outer, azimuth + turn),
+                                  at(inner, azimuth + turn)});
   }
   painter.setBrush(Qt::NoBrush);
   painter.setPen(QPen(QColor(0, 0, 0, 90), 1, Qt::DotLine));
@@ -108,14 +105,14 @@ void UncertaintyMap::paintEvent(QPaintEvent*) {
   }
 
   // The legend.
-  const QRectF bar(8, height() - 2 * line, width() - 16, line * 0.7);
+  const QRectF bar(8, side + 6, width() - 16, line * 0.7);
   QLinearGradient gradient(bar.topLeft(), bar.topRight());
   for (std::size_t i = 0; i < kStops.size(); ++i) {
     gradient.setColorAt(static_cast<double>(i) / (kStops.size() - 1), QColor(kStops[i]));
   }
   painter.fillRect(bar, gradient);
   painter.setPen(palette().color(QPalette::WindowText));
-  const QRectF text(8, height() - 1.2 * line, width() - 16, line * 1.2);
+  const QRectF text(8, side + 6 + line * 0.8, width() - 16, line * 1.2);
   painter.drawText(text, Qt::AlignLeft, tr("%1\u00b0").arg(least, 0, 'g', 2));
   painter.drawText(text, Qt::AlignRight, tr("%1\u00b0").arg(most, 0, 'g', 2));
   painter.drawText(text, Qt::AlignHCenter, tr("uncertainty"));

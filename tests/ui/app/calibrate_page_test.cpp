@@ -166,6 +166,9 @@ class CalibratePageTest : public QObject {
     auto* use = app.find<QPushButton>("useLens");
     QTRY_VERIFY_WITH_TIMEOUT(use->isVisible(), kLong);
     app.screenshot("calibrate-lens-result");
+    // 1280 pixels, less the list of pages.
+    QVERIFY2(app.window().currentPage()->minimumSizeHint().width() <= 1164,
+             qPrintable(QString::number(app.window().currentPage()->minimumSizeHint().width())));
     QVERIFY(app.find<QLabel>("lensFigures")->text().contains("16 views"));
     // So few views leave something to say.
     QVERIFY(app.find<QLabel>("lensAdvice")->text().contains("<li>"));
