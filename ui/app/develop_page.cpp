@@ -37,8 +37,16 @@ namespace lightsketch {
 namespace {
 
 constexpr int kThumbnails = 24;
-constexpr QSize kThumbnailSize{76, 57};
+constexpr QSize kThumbnailSize{72, 54};
 constexpr int kGrowMilliseconds = 80;
+
+// The chosen one of the large buttons is plain from two metres.
+constexpr auto kLargeChoice =
+    "QPushButton { text-align: left; padding: 6px 10px; border: 2px solid palette(mid);"
+    " border-radius: 6px; background: palette(button); }"
+    "QPushButton:hover { background: palette(midlight); }"
+    "QPushButton:focus { border-style: dashed; }"
+    "QPushButton:checked { border-color: palette(highlight); background: palette(base); }";
 
 const QColor kUsed("#58a6d8");
 const QColor kHeld("#f0a030");
@@ -137,6 +145,7 @@ DevelopPage::DevelopPage(Workspace& workspace, QWidget* parent) : Page(workspace
 
   tabs_ = new QTabWidget;
   tabs_->setObjectName("developTabs");
+  tabs_->setDocumentMode(true);
   auto* make = new QWidget;
   auto* row = new QHBoxLayout(make);
   row->addWidget(buildChoices());
@@ -206,7 +215,7 @@ QWidget* DevelopPage::buildSketch() {
   thumbnails_->setResizeMode(QListView::Adjust);
   thumbnails_->setMovement(QListView::Static);
   thumbnails_->setUniformItemSizes(true);
-  thumbnails_->setSpacing(1);
+  thumbnails_->setGridSize(kThumbnailSize + QSize(4, 4));
   thumbnails_->setFrameShape(QFrame::NoFrame);
   column->addWidget(name_);
   column->addWidget(counts_);
@@ -247,22 +256,23 @@ QWidget* DevelopPage::buildChoices() {
     button->setObjectName(name);
     button->setCheckable(true);
     button->setMinimumHeight(52);
-    button->setStyleSheet("text-align: left; padding: 4px 12px;");
+    button->setStyleSheet(kLargeChoice);
     button->setToolTip(tip);
     choices_->addButton(button, choice);
     column->addWidget(button);
   };
   const QString how =
-      tr("Ranks and roundings are chosen so that no bit is spent below this error "
-         "(lightsketch compress --quality %1)");
-  large(kSmall, "qualitySmall", tr("&Small"),
-        tr("to show and to send; errors near 3 % of the brightness"), how.arg("small"));
+      tr("Errors as parts of the picture's brightness. Ranks and roundings are chosen so that no "
+         "bit is spent on less (lightsketch compress --quality %1)");
+  large(kSmall, "qualitySmall", tr("&Small"), tr("to show and to send; errors near 3 %"),
+        how.arg("small"));
   large(kStandard, "qualityStandard", tr("S&tandard"), tr("for most work; errors near 1.5 %"),
         how.arg("standard"));
   large(kArchive, "qualityArchive", tr("&Archive"),
         tr("to keep and to measure from; errors near 1 %"), how.arg("archive"));
 
-  auto* targets = new QHBoxLayout;
+  auto* targets = new QGridLayout;
+  targets->setColumnStretch(1, 1);
   const auto target = [&](Choice choice, const char* name, const QString& text,
                           QDoubleSpinBox*& spin, const QString& unit, double low, double high,
                           double value, const QString& tip) {
@@ -282,12 +292,13 @@ QWidget* DevelopPage::buildChoices() {
       radio->setChecked(true);
       chosen();
     });
-    targets->addWidget(radio);
-    targets->addWidget(spin, 1);
+    const int row = targets->rowCount();
+    targets->addWidget(radio, row, 0);
+    targets->addWidget(spin, row, 1);
   };
-  target(kSize, "bySize", tr("Si&ze"), megabytes_, tr(" MB"), 0.1, 100000, 10,
+  target(kSize, "bySize", tr("Largest si&ze"), megabytes_, tr(" MB"), 0.1, 100000, 10,
          tr("As good as can be in a file no larger than this"));
-  target(kPsnr, "byPsnr", tr("Err&or"), decibels_, tr(" dB"), 10, 90, 40,
+  target(kPsnr, "byPsnr", tr("Smallest PSN&R"), decibels_, tr(" dB"), 10, 90, 40,
          tr("As small as can be with at least this PSNR; 40 dB is off by 2.6 of 255 grey levels"));
   column->addLayout(targets);
 
@@ -466,7 +477,7 @@ QWidget* DevelopPage::buildResult() {
   result_->setTextInteractionFlags(Qt::TextSelectableByMouse);
   column->addWidget(result_);
   auto* next = new QHBoxLayout;
-  relight_ = new QPushButton(tr("&Relight it"));
+  relight_ = new QPushButton(tr("Relight it"));
   relight_->setObjectName("toRelight");
   relight_->setToolTip(tr("Light the model with lamps, maps and cameras"));
   validate_ = new QPushButton(tr("Validate it"));
