@@ -231,6 +231,7 @@ class DevelopPageTest : public QObject {
 
     app.workspace().undo().undo();
     QTRY_VERIFY_WITH_TIMEOUT(droppedIn(app.path("ball")).empty(), kLong);
+    QTRY_VERIFY_WITH_TIMEOUT(!list->item(row("Frame 77"))->text().endsWith("dropped"), kLong);
     app.find<QPushButton>("dropShadows")->click();
     const std::vector<int> both{40, 77};
     const auto includes = [](const std::vector<int>& all, const std::vector<int>& some) {
