@@ -210,6 +210,7 @@ QLayout* CameraPanel::buildSettings() {
 
   exposure_ = number("exposure", tr("Exposure"), tr(" ms"), 0.001, 100'000, 3);
   exposure_->setStepType(QAbstractSpinBox::AdaptiveDecimalStepType);
+  exposure_->setMinimumWidth(92);
   exposure_->setToolTip(
       scene_ ? tr("How long each frame gathers light. As long as the brightest parts, lit by the "
                   "lamp, stay just below saturation.")
@@ -238,6 +239,7 @@ QLayout* CameraPanel::buildSettings() {
   gain_ = number("gain", tr("Gain"), tr(" dB"), 0, 60, 1);
   gain_->setToolTip(tr("Amplification. Longer exposure is better: gain makes noise louder too."));
   rate_ = number("rate", tr("Frame rate"), tr(" /s"), 0.1, 1000, 1);
+  rate_->setMinimumWidth(70);
   rate_->setToolTip(tr("Frames a second. The camera pauses for a moment when it changes."));
   row(1, tr("&Gain"), gain_);
   grid->addWidget(gain_, 1, 1);
@@ -270,6 +272,7 @@ QLayout* CameraPanel::buildSettings() {
     region_[i]->setRange(i < 2 ? 0 : 1, 100'000);
     region_[i]->setKeyboardTracking(false);
     region_[i]->setButtonSymbols(QAbstractSpinBox::NoButtons);
+    region_[i]->setMinimumWidth(54);
     grid->addWidget(region_[i], 2, i + 1);
     connect(region_[i], &QSpinBox::valueChanged, this, [this] {
       CameraSettings wish;

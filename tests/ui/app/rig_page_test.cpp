@@ -105,6 +105,9 @@ class RigPageTest : public QObject {
     const double apart = app.find<QLabel>("pairing")->text().split(' ').at(6).toDouble();
     QVERIFY2(apart >= 0 && apart < 1000 / kRate / 2 + 10, qPrintable(QString::number(apart)));
     QVERIFY(in<QLabel>(app, "scenePanel", "answer")->text().contains("exposure 20 ms"));
+    // 1280 pixels, less the list of pages.
+    QVERIFY2(app.window().currentPage()->minimumSizeHint().width() <= 1164,
+             qPrintable(QString::number(app.window().currentPage()->minimumSizeHint().width())));
     app.screenshot("rig");
   }
 
