@@ -1,7 +1,9 @@
 // lightsketch-app [SKETCH|MODEL|FOLDER]
 #include <QCommandLineParser>
+#include <QDeadlineTimer>
 #include <QSurfaceFormat>
 #include <QTimer>
+#include <QWindow>
 #include <cstdio>
 
 #include "ui/app/application.h"
@@ -75,11 +77,16 @@ int main(int argc, char** argv) {
     }
     workspace.rig().setSetup(setup);
   }
-  application.watch(workspace.statistics());
   int code = 0;
   {
     MainWindow window(workspace);
     window.show();
+    // The first picture of the window loads fonts and style; nobody can wait for it yet.
+    for (QDeadlineTimer patience(2000); !window.windowHandle()->isExposed();) {
+      if (patience.hasExpired()) break;
+      QCoreApplication::processEvents(QEventLoop::AllEvents, 10);
+    }
+    application.watch(workspace.statistics());
     if (!parser.positionalArguments().isEmpty() &&
         !workspace.open(toPath(parser.positionalArguments().front()))) {
       std::fprintf(stderr, "lightsketch-app: %s: cannot be opened\n",
