@@ -109,11 +109,11 @@ SketchPage::SketchPage(Workspace& workspace, QWidget* parent) : Page(workspace, 
   connect(scene_, &FrameView::drawn, this, [this] { ++sceneDrawn_; });
   connect(source_, &FrameView::drawn, this, [this] { ++sourceDrawn_; });
 
-  // With cameras of 30 frames a second.
+  // With cameras of 30 frames a second; where the interval begins and ends costs a frame or two.
   Statistics& statistics = workspace.statistics();
   statistics.expectAtMost("frames dropped by the program", 0);
-  statistics.expectAtLeast("scene view, frames a second", 30);
-  statistics.expectAtLeast("source view, frames a second", 30);
+  statistics.expectAtLeast("scene view, frames a second", 29.5);
+  statistics.expectAtLeast("source view, frames a second", 29.5);
   statistics.expectAtMost("frame's arrival to its dot, ms", 50, Statistics::Of::kP95);
   statistics.expectAtMost("UI thread blocked, ms", 50);
   replan();
