@@ -79,7 +79,9 @@ int main(int argc, char** argv) {
   }
   int code = 0;
   {
-    MainWindow window(workspace);
+    // A file has a page of its own.
+    const bool file = !parser.positionalArguments().isEmpty();
+    MainWindow window(workspace, parser.isSet(page) ? parser.value(page) : file ? "" : "rig");
     window.show();
     // The first picture of the window loads fonts and style; nobody can wait for it yet.
     for (QDeadlineTimer patience(2000); !window.windowHandle()->isExposed();) {
@@ -87,12 +89,12 @@ int main(int argc, char** argv) {
       QCoreApplication::processEvents(QEventLoop::AllEvents, 10);
     }
     application.watch(workspace.statistics());
-    if (!parser.positionalArguments().isEmpty() &&
-        !workspace.open(toPath(parser.positionalArguments().front()))) {
+    if (file && !workspace.open(toPath(parser.positionalArguments().front()))) {
       std::fprintf(stderr, "lightsketch-app: %s: cannot be opened\n",
                    qPrintable(parser.positionalArguments().front()));
     }
     if (parser.isSet(page)) window.showPage(parser.value(page));
+    if (!window.currentPage()) window.showPage("rig");
     if (parser.isSet(begin)) {
       QTimer::singleShot(0, &window, [&] { window.currentPage()->begin(); });
     }

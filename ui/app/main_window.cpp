@@ -53,7 +53,7 @@ QString inWords(double seconds) {
 
 }  // namespace
 
-MainWindow::MainWindow(Workspace& workspace, QWidget* parent)
+MainWindow::MainWindow(Workspace& workspace, const QString& firstPage, QWidget* parent)
     : QMainWindow(parent), workspace_(workspace) {
   setWindowTitle("lightsketch");
   setAcceptDrops(true);
@@ -106,7 +106,7 @@ MainWindow::MainWindow(Workspace& workspace, QWidget* parent)
   connect(&workspace_, &Workspace::recentChanged, this, &MainWindow::fillRecent);
 
   restoreGeometry(workspace_.settings().value("window").toByteArray());
-  list_->setCurrentRow(0);
+  showPage(firstPage);
 }
 
 MainWindow::~MainWindow() {

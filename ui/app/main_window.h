@@ -18,7 +18,9 @@ namespace lightsketch {
 class MainWindow final : public QMainWindow {
   Q_OBJECT
  public:
-  explicit MainWindow(Workspace& workspace, QWidget* parent = nullptr);
+  // Only a page that is shown wants cameras: the first one is all that starts them.
+  explicit MainWindow(Workspace& workspace, const QString& firstPage = "rig",
+                      QWidget* parent = nullptr);
   ~MainWindow() override;
 
   // "rig", "calibrate", "sketch", "develop", "relight", "validate".
