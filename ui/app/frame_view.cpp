@@ -37,9 +37,9 @@ QRectF FrameView::pictureRectangle() const {
 QTransform FrameView::widgetFromFrame() const {
   const QRectF at = pictureRectangle();
   if (!at.isValid()) return {};
-  return QTransform::fromScale((leftRight_ ? -1 : 1) * at.width() / picture_->frameSize.width(),
-                               (upsideDown_ ? -1 : 1) * at.height() /
-                                   picture_->frameSize.height()) *
+  return QTransform::fromScale(
+             (leftRight_ ? -1 : 1) * at.width() / picture_->frameSize.width(),
+             (upsideDown_ ? -1 : 1) * at.height() / picture_->frameSize.height()) *
          QTransform::fromTranslate(leftRight_ ? at.right() : at.x(),
                                    upsideDown_ ? at.bottom() : at.y());
 }

@@ -29,7 +29,7 @@ using Eigen::Vector3d;
 
 constexpr int kTickMilliseconds = 200;
 constexpr double kRefusedDotSeconds = 1.5;
-constexpr double kPathSteps = 120;         // on the hemisphere
+constexpr std::size_t kPathSteps = 120;    // on the hemisphere
 constexpr double kRefusedToneSeconds = 1;  // between two
 constexpr double kLampLostSeconds = 0.7;   // until it is said
 constexpr double kGoodSeconds = 0.25;      // that a kept frame is shown
