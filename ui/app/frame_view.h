@@ -9,9 +9,7 @@
 
 namespace lightsketch {
 
-// The converting thread makes the picture as large as it is shown, so that drawing it is one copy
-// and the UI thread never scales: cheaper under software OpenGL than a texture, and no worse on a
-// graphics card.
+// The converting thread makes the picture as large as it is shown, so that drawing it is one copy.
 class FrameView : public QWidget {
   Q_OBJECT
  public:

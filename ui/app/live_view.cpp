@@ -88,11 +88,11 @@ class Reader {
 
 class TappedCamera final : public Camera {
  public:
-  TappedCamera(std::unique_ptr<Camera> camera, LiveView& view)
-      : camera_(std::move(camera)), view_(view) {}
+  TappedCamera(std::unique_ptr<Camera> camera, std::shared_ptr<LiveView> view)
+      : camera_(std::move(camera)), view_(std::move(view)) {}
   ~TappedCamera() override {
     camera_.reset();
-    view_.clear();
+    view_->clear();
   }
 
   const CameraInfo& info() const override { return camera_->info(); }
@@ -102,7 +102,7 @@ class TappedCamera final : public Camera {
   Result<void> start(FrameCallback onFrame, EndCallback onEnd) override {
     return camera_->start(
         [this, onFrame = std::move(onFrame)](Frame&& frame) {
-          view_.publish(frame);
+          view_->publish(frame);
           onFrame(std::move(frame));
         },
         std::move(onEnd));
@@ -117,7 +117,7 @@ class TappedCamera final : public Camera {
 
  private:
   std::unique_ptr<Camera> camera_;
-  LiveView& view_;
+  const std::shared_ptr<LiveView> view_;
 };
 
 }  // namespace
@@ -215,8 +215,8 @@ void LiveView::convert(const std::stop_token& stop) {
   }
 }
 
-std::unique_ptr<Camera> tapped(std::unique_ptr<Camera> camera, LiveView& view) {
-  return std::make_unique<TappedCamera>(std::move(camera), view);
+std::unique_ptr<Camera> tapped(std::unique_ptr<Camera> camera, std::shared_ptr<LiveView> view) {
+  return std::make_unique<TappedCamera>(std::move(camera), std::move(view));
 }
 
 ViewPicture toPicture(const Frame& frame, QSize size, float brightness, bool showSaturation,

@@ -79,9 +79,8 @@ class LiveView final : public QObject {
   std::jthread thread_;
 };
 
-// A camera that shows what it delivers: everything goes to `camera`, frames also to `view`, which
-// outlives it.
-std::unique_ptr<Camera> tapped(std::unique_ptr<Camera> camera, LiveView& view);
+// A camera that shows what it delivers: everything goes to `camera`, frames also to `view`.
+std::unique_ptr<Camera> tapped(std::unique_ptr<Camera> camera, std::shared_ptr<LiveView> view);
 
 // For the screen, as large as fits into `size`. Linear counts are sRGB-encoded. Fills everything of
 // the picture but metadata.

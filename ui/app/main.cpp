@@ -1,7 +1,6 @@
 // lightsketch-app [SKETCH|MODEL|FOLDER]
 #include <QCommandLineParser>
 #include <QDeadlineTimer>
-#include <QSurfaceFormat>
 #include <QTimer>
 #include <QWindow>
 #include <cstdio>
@@ -11,10 +10,6 @@
 
 int main(int argc, char** argv) {
   using namespace lightsketch;
-  // Frames are paced by what changes, not by the screen.
-  QSurfaceFormat format = QSurfaceFormat::defaultFormat();
-  format.setSwapInterval(0);
-  QSurfaceFormat::setDefaultFormat(format);
   Application application(argc, argv);
   QCoreApplication::setApplicationName("lightsketch-app");
   QCoreApplication::setOrganizationName("lightsketch");

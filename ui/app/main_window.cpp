@@ -93,9 +93,6 @@ MainWindow::MainWindow(Workspace& workspace, const QString& firstPage, QWidget* 
     if (row < 0 || row == current_) return;
     if (Page* before = currentPage()) before->left();
     current_ = row;
-    // Not before: a page with OpenGL in it, shown or not, makes Qt put the whole window together
-    // by OpenGL from then on, which costs software OpenGL 10 ms and more for every change of a dot.
-    if (stack_->indexOf(currentPage()) < 0) stack_->addWidget(currentPage());
     stack_->setCurrentWidget(currentPage());
     currentPage()->entered();
   });
@@ -109,15 +106,12 @@ MainWindow::MainWindow(Workspace& workspace, const QString& firstPage, QWidget* 
   showPage(firstPage);
 }
 
-MainWindow::~MainWindow() {
-  for (Page* page : pages_) {
-    if (!page->parent()) delete page;
-  }
-}
+MainWindow::~MainWindow() = default;
 
 void MainWindow::addPage(const QString& name, Page* page) {
   names_.push_back(name);
   pages_.push_back(page);
+  stack_->addWidget(page);
   auto* item = new QListWidgetItem(page->title(), list_);
   item->setToolTip(tr("%1 (Ctrl+%2)").arg(page->purpose()).arg(names_.size()));
   item->setSizeHint({0, 52});

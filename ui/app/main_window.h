@@ -48,7 +48,7 @@ class MainWindow final : public QMainWindow {
   QBoxLayout* messages_;
   QMenu* recent_ = nullptr;
   std::vector<QString> names_;
-  std::vector<Page*> pages_;  // the stack's once they were shown
+  std::vector<Page*> pages_;
   std::map<QString, QWidget*> banners_;
   int current_ = -1;
 };

@@ -3,13 +3,12 @@
 #include <QKeyEvent>
 #include <QLabel>
 #include <QMouseEvent>
-#include <QOpenGLContext>
-#include <QOpenGLFunctions>
-#include <QOpenGLPixelTransferOptions>
+#include <QPainter>
 #include <QTimer>
 #include <QWheelEvent>
 #include <algorithm>
 #include <cmath>
+#include <utility>
 
 namespace lightsketch {
 namespace {
@@ -18,6 +17,7 @@ constexpr int kGround = 24;  // grey level around the picture: dark, and of no c
 constexpr int kGap = 12;     // between picture and photograph
 constexpr double kMostZoom = 16;
 constexpr int kRefineMilliseconds = 150;
+constexpr double kReduced = 0.67;  // shown smaller than this, a picture shimmers without averages
 constexpr int kPointerMilliseconds = 2000;
 // Of a frame at 60 a second, what drawing may take; the rest is for the screen and everybody else.
 constexpr double kDrawSeconds = 0.6 / 60;
@@ -29,8 +29,9 @@ double milliseconds(RelightView::Clock::duration duration) {
 }  // namespace
 
 RelightView::RelightView(QWidget* parent)
-    : QOpenGLWidget(parent), governor_({.targetSeconds = kDrawSeconds}), refine_(new QTimer(this)) {
+    : QWidget(parent), governor_({.targetSeconds = kDrawSeconds}), refine_(new QTimer(this)) {
   setMinimumSize(320, 240);
+  setAttribute(Qt::WA_OpaquePaintEvent);
   setFocusPolicy(Qt::StrongFocus);
   setAccessibleName(tr("Relit picture"));
   placeholder_ = new QLabel(this);
@@ -45,26 +46,13 @@ RelightView::RelightView(QWidget* parent)
   placeholder_->setWordWrap(true);
   refine_->setSingleShot(true);
   connect(refine_, &QTimer::timeout, this, [this] {
-    if (drawnShare_ == 1) return;
-    stale_ = true;
+    moving_ = false;
+    stale_ = stale_ || drawnShare_ < 1;
     update();
   });
-  connect(this, &QOpenGLWidget::frameSwapped, this, &RelightView::presented);
 }
 
-RelightView::~RelightView() {
-  releaseTextures();
-  if (context()) disconnect(context(), nullptr, this, nullptr);
-}
-
-void RelightView::releaseTextures() {
-  if (!context()) return;
-  makeCurrent();
-  texture_.reset();
-  photographTexture_.reset();
-  blitter_.destroy();
-  doneCurrent();
-}
+RelightView::~RelightView() = default;
 
 void RelightView::setScene(std::shared_ptr<RelightScene> scene) {
   scene_ = std::move(scene);
@@ -75,6 +63,10 @@ void RelightView::setScene(std::shared_ptr<RelightScene> scene) {
     // Rows of whole cache lines from an aligned address on.
     strideBytes_ = (static_cast<std::size_t>(scene_->width()) * 4 + 63) / 64 * 64;
     buffer_.assign(strideBytes_ * static_cast<std::size_t>(scene_->height()) + 64, std::byte{0});
+    const auto address = reinterpret_cast<std::uintptr_t>(buffer_.data());
+    picture_ =
+        QImage(reinterpret_cast<uchar*>(buffer_.data() + (64 - address % 64) % 64), scene_->width(),
+               scene_->height(), static_cast<qsizetype>(strideBytes_), QImage::Format_RGB32);
   }
   stale_ = true;
   placeWords();
@@ -91,11 +83,6 @@ void RelightView::setPhotograph(const QImage& photograph, const QString& caption
   photograph_ = photograph.isNull() ? QImage() : photograph.convertToFormat(QImage::Format_RGB32);
   photographCaption_->setText(caption);
   placeWords();
-  if (photographTexture_) {
-    makeCurrent();
-    photographTexture_.reset();
-    doneCurrent();
-  }
   stale_ = true;  // another part of the picture may be in sight
   update();
 }
@@ -118,7 +105,7 @@ void RelightView::placeWords() {
 }
 
 void RelightView::resizeEvent(QResizeEvent* event) {
-  QOpenGLWidget::resizeEvent(event);
+  QWidget::resizeEvent(event);
   stale_ = true;  // more of a zoomed picture may be in sight
   placeWords();
 }
@@ -135,7 +122,7 @@ void RelightView::setHidesPointer(bool on) {
 }
 
 void RelightView::lightChanged(Clock::time_point when) {
-  if (!changed_) changed_ = when;
+  if (!changed_ && scene_) changed_ = when;
   stale_ = true;
   update();
 }
@@ -180,111 +167,53 @@ PixelRectangle RelightView::visible() const {
   return part;
 }
 
-void RelightView::initializeGL() {
-  blitter_.create();
-  // Bytes are blue, green, red.
-  blitter_.setRedBlueSwizzle(true);
-  texture_.reset();
-  photographTexture_.reset();
-  stale_ = true;
-  connect(context(), &QOpenGLContext::aboutToBeDestroyed, this, &RelightView::releaseTextures);
-}
-
-void RelightView::upload(QOpenGLTexture& texture, const void* bgra, int strideBytes,
-                         const QRect& part, bool reduced) {
-  QOpenGLPixelTransferOptions options;
-  options.setAlignment(4);
-  options.setRowLength(strideBytes / 4);
-  const auto* first = static_cast<const std::byte*>(bgra) +
-                      static_cast<std::ptrdiff_t>(part.y()) * strideBytes + 4 * part.x();
-  texture.setData(part.x(), part.y(), 0, part.width(), part.height(), 1, QOpenGLTexture::RGBA,
-                  QOpenGLTexture::UInt8, first, &options);
-  // Shown much smaller than it is, it would shimmer without averages.
-  texture.setMinificationFilter(reduced ? QOpenGLTexture::LinearMipMapLinear
-                                        : QOpenGLTexture::Linear);
-  if (reduced) texture.generateMipMaps();
-}
-
-namespace {
-
-std::unique_ptr<QOpenGLTexture> textureFor(const QSize& size, bool reduced) {
-  auto texture = std::make_unique<QOpenGLTexture>(QOpenGLTexture::Target2D);
-  texture->setFormat(QOpenGLTexture::RGBA8_UNorm);
-  texture->setSize(size.width(), size.height());
-  texture->setAutoMipMapGenerationEnabled(false);
-  texture->setMipLevels(reduced ? texture->maximumMipLevels() : 1);
-  texture->allocateStorage(QOpenGLTexture::RGBA, QOpenGLTexture::UInt8);
-  texture->setMagnificationFilter(QOpenGLTexture::Linear);
-  texture->setWrapMode(QOpenGLTexture::ClampToEdge);
-  return texture;
-}
-
-}  // namespace
-
 void RelightView::draw() {
   const auto begin = Clock::now();
   if (prepare_) prepare_();
   const bool atRest = !changed_;
   const float share = atRest ? 1.0f : static_cast<float>(governor_.share());
-  auto address = reinterpret_cast<std::uintptr_t>(buffer_.data());
-  std::byte* const pixels = buffer_.data() + (64 - address % 64) % 64;
-  const PixelRectangle part = visible();
+  // bits() would copy: the picture's memory is ours.
+  auto* const pixels =
+      reinterpret_cast<std::byte*>(const_cast<uchar*>(std::as_const(picture_).bits()));
   renderer_.render(
-      scene_->relighter, tone_, {.exposure = exposure_, .share = share, .visible = part},
+      scene_->relighter, tone_, {.exposure = exposure_, .share = share, .visible = visible()},
       {pixels, strideBytes_ * static_cast<std::size_t>(scene_->height())}, strideBytes_);
   const auto drawn = Clock::now();
   statistics_.drawMilliseconds = milliseconds(drawn - begin);
   if (!atRest) governor_.frame(std::chrono::duration<double>(drawn - begin).count());
   statistics_.share = static_cast<float>(governor_.share());
   drawnShare_ = share;
-  if (share < 1) refine_->start(kRefineMilliseconds);
-
-  const QSize size(scene_->width(), scene_->height());
-  const double scale = pictureIn(picturePane(), size).width() * devicePixelRatioF() / size.width();
-  const bool reduced = scale < 0.67;
-  if (!texture_ || texture_->width() != size.width() || texture_->height() != size.height() ||
-      (texture_->mipLevels() > 1) != reduced) {
-    texture_ = textureFor(size, reduced);
-  }
-  upload(*texture_, pixels, static_cast<int>(strideBytes_),
-         {part.x, part.y, part.width, part.height}, reduced);
+  moving_ = !atRest;
+  if (moving_) refine_->start(kRefineMilliseconds);
   drawing_ = std::exchange(changed_, std::nullopt);
   stale_ = false;
 }
 
-void RelightView::paintGL() {
-  auto* gl = QOpenGLContext::currentContext()->functions();
-  gl->glClearColor(kGround / 255.0f, kGround / 255.0f, kGround / 255.0f, 1);
-  gl->glClear(GL_COLOR_BUFFER_BIT);
+void RelightView::paintPicture(QPainter& painter, const QImage& picture, const QRectF& pane) const {
+  const QRectF target = pictureIn(pane, picture.size());
+  painter.setClipRect(pane);
+  const double scale = target.width() * devicePixelRatioF() / picture.width();
+  if (scale < kReduced && !moving_) {
+    // Evenly averaged; two taps in each direction would leave pixels out.
+    QImage reduced = picture.scaled((target.size() * devicePixelRatioF()).toSize(),
+                                    Qt::IgnoreAspectRatio, Qt::SmoothTransformation);
+    reduced.setDevicePixelRatio(devicePixelRatioF());
+    painter.drawImage(target.topLeft(), reduced);
+    return;
+  }
+  painter.setRenderHint(QPainter::SmoothPixmapTransform, scale != 1);
+  painter.drawImage(target, picture);
+}
+
+void RelightView::paintEvent(QPaintEvent*) {
+  QPainter painter(this);
+  painter.fillRect(rect(), QColor(kGround, kGround, kGround));
   if (!scene_) return;
   if (stale_) draw();
-
-  const double ratio = devicePixelRatioF();
-  const QRect viewport(QPoint(0, 0), (QSizeF(size()) * ratio).toSize());
-  const auto blit = [&](QOpenGLTexture& texture, const QRectF& pane) {
-    const QRectF target = pictureIn(pane, QSizeF(texture.width(), texture.height()));
-    gl->glEnable(GL_SCISSOR_TEST);
-    gl->glScissor(static_cast<int>(pane.left() * ratio), 0,
-                  static_cast<int>(std::ceil(pane.width() * ratio)), viewport.height());
-    const QRectF onScreen(target.topLeft() * ratio, target.size() * ratio);
-    blitter_.blit(texture.textureId(), QOpenGLTextureBlitter::targetTransform(onScreen, viewport),
-                  QOpenGLTextureBlitter::OriginTopLeft);
-    gl->glDisable(GL_SCISSOR_TEST);
-  };
-  gl->glViewport(0, 0, viewport.width(), viewport.height());
-  blitter_.bind();
-  blit(*texture_, picturePane());
-  if (!photograph_.isNull()) {
-    if (!photographTexture_) {
-      const double scale =
-          pictureIn(photographPane(), photograph_.size()).width() * ratio / photograph_.width();
-      photographTexture_ = textureFor(photograph_.size(), scale < 0.67);
-      upload(*photographTexture_, photograph_.constBits(),
-             static_cast<int>(photograph_.bytesPerLine()), photograph_.rect(), scale < 0.67);
-    }
-    blit(*photographTexture_, photographPane());
-  }
-  blitter_.release();
+  paintPicture(painter, picture_, picturePane());
+  if (!photograph_.isNull()) paintPicture(painter, photograph_, photographPane());
+  // Qt hands what was painted to the screen before it looks at the next event.
+  if (drawing_) QMetaObject::invokeMethod(this, &RelightView::presented, Qt::QueuedConnection);
 }
 
 void RelightView::presented() {
@@ -360,7 +289,7 @@ void RelightView::keyPressEvent(QKeyEvent* event) {
     Q_EMIT leaveRequested();
     return;
   }
-  QOpenGLWidget::keyPressEvent(event);
+  QWidget::keyPressEvent(event);
 }
 
 }  // namespace lightsketch

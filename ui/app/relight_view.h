@@ -1,9 +1,8 @@
 // The relit picture on the screen.
 #pragma once
 
-#include <QOpenGLTexture>
-#include <QOpenGLTextureBlitter>
-#include <QOpenGLWidget>
+#include <QImage>
+#include <QWidget>
 #include <chrono>
 #include <functional>
 #include <memory>
@@ -29,7 +28,7 @@ struct RelightStatistics {
 // Draws a scene as large as fits, in the middle of a dark neutral ground, beside it a photograph if
 // there is one. Drawing happens on the UI thread (all cores): a picture takes a few milliseconds at
 // most, which the governor sees to.
-class RelightView final : public QOpenGLWidget {
+class RelightView final : public QWidget {
   Q_OBJECT
  public:
   using Clock = std::chrono::steady_clock;
@@ -61,8 +60,7 @@ class RelightView final : public QOpenGLWidget {
   void leaveRequested();  // Esc
 
  protected:
-  void initializeGL() override;
-  void paintGL() override;
+  void paintEvent(QPaintEvent* event) override;
   void resizeEvent(QResizeEvent* event) override;
   void mousePressEvent(QMouseEvent* event) override;
   void mouseMoveEvent(QMouseEvent* event) override;
@@ -73,15 +71,13 @@ class RelightView final : public QOpenGLWidget {
 
  private:
   void draw();
-  void upload(QOpenGLTexture& texture, const void* bgra, int strideBytes, const QRect& part,
-              bool reduced);
+  void paintPicture(QPainter& painter, const QImage& picture, const QRectF& pane) const;
   // Where picture and photograph lie, logical pixels; the picture may be larger than its pane.
   QRectF picturePane() const;
   QRectF photographPane() const;
   QRectF pictureIn(const QRectF& pane, const QSizeF& size) const;
   PixelRectangle visible() const;
   void presented();
-  void releaseTextures();
   void placeWords();
 
   std::shared_ptr<RelightScene> scene_;
@@ -97,14 +93,12 @@ class RelightView final : public QOpenGLWidget {
   FrameRateGovernor governor_;
   std::vector<std::byte> buffer_;
   std::size_t strideBytes_ = 0;
+  QImage picture_;             // in buffer_
   bool stale_ = true;          // the buffer is not what is to be shown
   float drawnShare_ = 1;       // of what the buffer holds
   QTimer* pointer_ = nullptr;  // hides it
-  QTimer* refine_;             // draws once more with all bases when the light has come to rest
-
-  QOpenGLTextureBlitter blitter_;
-  std::unique_ptr<QOpenGLTexture> texture_;
-  std::unique_ptr<QOpenGLTexture> photographTexture_;
+  QTimer* refine_;             // once more, with all bases and evenly reduced, when light rests
+  bool moving_ = false;        // the buffer's light had just changed
 
   double zoom_ = 1;
   QPointF middle_{0.5, 0.5};  // of the pane, as a fraction of the picture

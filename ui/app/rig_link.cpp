@@ -46,19 +46,41 @@ void overlay(CameraSettings& onto, const CameraSettings& wish) {
 // The thread that touches cameras, in the order it is asked to. Its members are its thread's alone.
 class RigLink::Worker {
  public:
-  explicit Worker(RigLink& link)
-      : link_(link), thread_([this](const std::stop_token& stop) { run(stop); }) {}
-  ~Worker() {
+  Worker(RigLink& link, std::shared_ptr<LiveView> sceneView, std::shared_ptr<LiveView> sourceView)
+      : link_(link),
+        sceneView_(std::move(sceneView)),
+        sourceView_(std::move(sourceView)),
+        thread_([this](const std::stop_token& stop) { run(stop); }) {}
+  ~Worker() { stop(); }
+
+  // The link is touched no more once it returns; what is posted later is not done.
+  void stop() {
     thread_.request_stop();
-    thread_.join();
+    if (thread_.joinable()) thread_.join();
   }
 
-  void post(std::function<void()> work) {
+  void post(std::function<void(Worker&)> work) {
     {
       const std::lock_guard lock(mutex_);
+      if (ended_) return;
       work_.push_back(std::move(work));
     }
     changed_.notify_one();
+  }
+
+  // For other threads: waits until all that was asked before is done, closing the preview above
+  // all, and the rig runs.
+  Result<void> waitForRig(const RigSetup& setup) {
+    auto promise = std::make_shared<std::promise<Result<void>>>();
+    auto ready = promise->get_future();
+    post([setup, promise = std::move(promise)](Worker& worker) {
+      promise->set_value(worker.ensureRig(setup));
+    });
+    try {
+      return ready.get();
+    } catch (const std::future_error&) {
+      return failure(ErrorCode::kCancelled, "the program is being closed");
+    }
   }
 
   // On the worker's thread.
@@ -77,9 +99,9 @@ class RigLink::Worker {
   Result<std::pair<CameraSettings, CameraSettings>> open(const RigSetup& setup) {
     close();
     RETURN_IF_ERROR(ensureRig(setup));
-    auto scene = openOne(link_.sceneAddress(setup), setup.scene, link_.sceneView_, scene_);
+    auto scene = openOne(link_.sceneAddress(setup), setup.scene, sceneView_, scene_);
     if (!scene) return tl::unexpected<Error>(scene.error());
-    auto source = openOne(link_.sourceAddress(setup), setup.source, link_.sourceView_, source_);
+    auto source = openOne(link_.sourceAddress(setup), setup.source, sourceView_, source_);
     if (!source) {
       close();
       return tl::unexpected<Error>(source.error());
@@ -92,10 +114,9 @@ class RigLink::Worker {
       camera->reset();
     }
     publishStatistics();
-    link_.sceneView_.clear();
-    link_.sourceView_.clear();
+    sceneView_->clear();
+    sourceView_->clear();
   }
-  Camera* scene() const { return scene_.get(); }
 
   // Nothing while it is closed. Format, region and rate cannot change while it streams.
   std::optional<Result<CameraSettings>> configure(bool scene, const CameraSettings& settings) {
@@ -129,7 +150,8 @@ class RigLink::Worker {
 
  private:
   Result<CameraSettings> openOne(const std::string& address, const CameraSettings& settings,
-                                 LiveView& view, std::unique_ptr<Camera>& into) {
+                                 const std::shared_ptr<LiveView>& view,
+                                 std::unique_ptr<Camera>& into) {
     if (address.empty()) {
       return failure(ErrorCode::kInvalidArgument,
                      "choose both cameras on the Rig page, or use the simulated rig");
@@ -154,7 +176,7 @@ class RigLink::Worker {
 
   void run(const std::stop_token& stop) {
     while (true) {
-      std::function<void()> next;
+      std::function<void(Worker&)> next;
       {
         std::unique_lock lock(mutex_);
         changed_.wait_for(lock, stop, std::chrono::milliseconds(250),
@@ -165,31 +187,41 @@ class RigLink::Worker {
           work_.pop_front();
         }
       }
-      if (next) next();
+      if (next) next(*this);
       publishStatistics();
     }
     close();
     rig_.reset();
+    const std::lock_guard lock(mutex_);
+    ended_ = true;
+    work_.clear();
   }
 
   RigLink& link_;
+  const std::shared_ptr<LiveView> sceneView_;
+  const std::shared_ptr<LiveView> sourceView_;
   std::unique_ptr<SimulatedRig> rig_;
   std::unique_ptr<Camera> scene_;
   std::unique_ptr<Camera> source_;
   mutable std::mutex statisticsMutex_;  // Guards statistics_.
   std::pair<StreamStatistics, StreamStatistics> statistics_;
-  std::mutex mutex_;  // Guards work_.
+  std::mutex mutex_;  // Guards work_ and ended_.
   std::condition_variable_any changed_;
-  std::deque<std::function<void()>> work_;
+  std::deque<std::function<void(Worker&)>> work_;
+  bool ended_ = false;
   std::jthread thread_;  // last: it uses all of the above
 };
 
-RigLink::RigLink(QObject* parent) : QObject(parent), worker_(std::make_unique<Worker>(*this)) {}
+RigLink::RigLink(QObject* parent)
+    : QObject(parent),
+      sceneView_(std::make_shared<LiveView>()),
+      sourceView_(std::make_shared<LiveView>()),
+      worker_(std::make_shared<Worker>(*this, sceneView_, sourceView_)) {}
 
-RigLink::~RigLink() { worker_.reset(); }
+RigLink::~RigLink() { worker_->stop(); }
 
 void RigLink::search() {
-  worker_->post([this] {
+  worker_->post([this](Worker&) {
     auto cameras = listCameras().value_or(std::vector<CameraInfo>());
     QMetaObject::invokeMethod(this, [this, cameras = std::move(cameras)] {
       cameras_ = cameras;
@@ -201,9 +233,9 @@ void RigLink::search() {
 void RigLink::setSetup(const RigSetup& setup) {
   setup_ = setup;
   Q_EMIT setupChanged();
-  worker_->post([this] {
-    worker_->close();
-    worker_->dropRig();
+  worker_->post([](Worker& worker) {
+    worker.close();
+    worker.dropRig();
   });
   if (state_ == State::kLent) return;
   apply(State::kClosed, {});
@@ -216,7 +248,7 @@ void RigLink::watch(bool on) {
   if (on || watchers_ > 0) return;
   QTimer::singleShot(kCloseAfterMilliseconds, this, [this] {
     if (watchers_ > 0 || state_ == State::kLent) return;
-    worker_->post([this] { worker_->close(); });
+    worker_->post([](Worker& worker) { worker.close(); });
     apply(State::kClosed, {});
   });
 }
@@ -224,8 +256,8 @@ void RigLink::watch(bool on) {
 void RigLink::reopen() {
   if (state_ == State::kLent || state_ == State::kOpening) return;
   apply(State::kOpening, {});
-  worker_->post([this, setup = setup_, attempt = ++attempt_] {
-    const auto opened = worker_->open(setup);
+  worker_->post([this, setup = setup_, attempt = ++attempt_](Worker& worker) {
+    const auto opened = worker.open(setup);
     QMetaObject::invokeMethod(this, [this, opened, attempt] {
       if (state_ != State::kOpening || attempt != attempt_) return;
       if (opened) {
@@ -249,8 +281,8 @@ void RigLink::setCalibration(const std::filesystem::path& sourceModel,
 }
 
 void RigLink::configure(bool scene, const CameraSettings& settings) {
-  worker_->post([this, scene, settings] {
-    const auto now = worker_->configure(scene, settings);
+  worker_->post([this, scene, settings](Worker& worker) {
+    const auto now = worker.configure(scene, settings);
     QMetaObject::invokeMethod(this, [this, scene, settings, now] {
       if (!now || *now) {
         overlay(scene ? setup_.scene : setup_.source, settings);
@@ -276,28 +308,25 @@ StreamStatistics RigLink::sourceStatistics() const { return worker_->statistics(
 void RigLink::lend() {
   if (state_ == State::kLent) throw std::logic_error("RigLink::lend: lent already");
   apply(State::kLent, {});
-  worker_->post([this] { worker_->close(); });
+  worker_->post([](Worker& worker) { worker.close(); });
 }
 
 void RigLink::giveBack() {
   if (state_ != State::kLent) throw std::logic_error("RigLink::giveBack: not lent");
-  sceneView_.clear();
-  sourceView_.clear();
+  sceneView_->clear();
+  sourceView_->clear();
   apply(State::kClosed, {});
   if (watchers_ > 0) reopen();
 }
 
+// A job that is not waited for may still be in it when this link is gone.
 CameraOpener RigLink::opener() {
-  const RigSetup setup = setup_;
-  return [this, setup](const std::string& address) -> Result<std::unique_ptr<Camera>> {
-    // Whatever was asked of the worker before, closing the preview above all, is done once this is.
-    auto ready = std::make_shared<std::promise<Result<void>>>();
-    auto rig = ready->get_future();
-    worker_->post([this, setup, ready] { ready->set_value(worker_->ensureRig(setup)); });
-    RETURN_IF_ERROR(rig.get());
+  return [worker = worker_, setup = setup_, scene = sceneView_,
+          source = sourceView_](const std::string& address) -> Result<std::unique_ptr<Camera>> {
+    RETURN_IF_ERROR(worker->waitForRig(setup));
     ASSIGN_OR_RETURN(auto camera, openCamera(address));
-    if (address == sceneAddress(setup)) return tapped(std::move(camera), sceneView_);
-    if (address == sourceAddress(setup)) return tapped(std::move(camera), sourceView_);
+    if (address == sceneAddress(setup)) return tapped(std::move(camera), scene);
+    if (address == sourceAddress(setup)) return tapped(std::move(camera), source);
     return camera;
   };
 }
@@ -338,16 +367,6 @@ RecordJob RigLink::recordJob() {
   options.framesPerSecond = setup_.scene.framesPerSecond.value_or(options.framesPerSecond);
   if (setup_.simulated) options.sceneBlackLevel = sceneBlackLevelCounts(options.sceneFormat);
   return job;
-}
-
-void RigLink::showProgram(RigProgram program) {
-  if (!setup_.simulated) return;
-  worker_->post([this, program] {
-    if (Camera* scene = worker_->scene(); scene && scene->hasFeature("RigProgram")) {
-      // A rig that plays frames rendered beforehand refuses; its program stays.
-      (void)scene->setFeature("RigProgram", static_cast<double>(program));
-    }
-  });
 }
 
 void RigLink::apply(State state, const QString& trouble) {

@@ -66,8 +66,8 @@ class RigLink final : public QObject {
 
   State state() const { return state_; }
   const QString& trouble() const { return trouble_; }  // of kFailed
-  LiveView& sceneView() { return sceneView_; }
-  LiveView& sourceView() { return sourceView_; }
+  LiveView& sceneView() { return *sceneView_; }
+  LiveView& sourceView() { return *sourceView_; }
   StreamStatistics sceneStatistics() const;
   StreamStatistics sourceStatistics() const;
 
@@ -84,8 +84,6 @@ class RigLink final : public QObject {
   // Of the source camera's lens; a simulated rig brings its own. Empty: none.
   std::filesystem::path sourceModel() const;
   std::filesystem::path rigGeometry() const;
-  // What the simulated rig shows from now on; nothing happens with real cameras.
-  void showProgram(RigProgram program);
 
  Q_SIGNALS:
   void found();
@@ -110,9 +108,9 @@ class RigLink final : public QObject {
   CameraSettings sourceSettings_;
   int watchers_ = 0;
   int attempt_ = 0;  // to open; what comes of an earlier one counts no more
-  LiveView sceneView_;
-  LiveView sourceView_;
-  std::unique_ptr<Worker> worker_;
+  std::shared_ptr<LiveView> sceneView_;
+  std::shared_ptr<LiveView> sourceView_;
+  std::shared_ptr<Worker> worker_;
 };
 
 }  // namespace lightsketch

@@ -97,7 +97,7 @@ class FirstStartTest : public QObject {
     choose(app, "relight");
     auto* relight = static_cast<RelightPage*>(app.window().page("relight"));
     QTRY_VERIFY_WITH_TIMEOUT(relight->scene() != nullptr, kLong);
-    QTRY_VERIFY_WITH_TIMEOUT(contrast(relight->view().grabFramebuffer()) > 60, kLong);
+    QTRY_VERIFY_WITH_TIMEOUT(contrast(relight->view().grab().toImage()) > 60, kLong);
     app.screenshot("start-6-relight");
 
     choose(app, "validate");

@@ -74,7 +74,7 @@ class RelightPageTest : public QObject {
   // Mean level of a part of the picture, from the left (0) to the right (1).
   static double level(RelightPage& page, double from, double to) {
     QTest::qWait(250);  // drawn, and once more at rest
-    const QImage picture = page.view().grabFramebuffer();
+    const QImage picture = page.view().grab().toImage();
     double sum = 0;
     int count = 0;
     for (int y = picture.height() * 2 / 5; y < picture.height() * 3 / 5; ++y) {
@@ -265,7 +265,7 @@ class RelightPageTest : public QObject {
     QVERIFY(QTest::qWaitForWindowExposed(view));
     QTest::qWait(200);
     QCOMPARE(view->size(), page.screen()->size());
-    const QImage picture = view->grabFramebuffer();
+    const QImage picture = view->grab().toImage();
     QVERIFY(qGray(picture.pixel(picture.rect().center())) > 30);
     QTest::keyClick(view, Qt::Key_Escape);
     QTRY_VERIFY(!page.fullScreenView());
