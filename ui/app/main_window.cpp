@@ -32,6 +32,7 @@ namespace {
 
 constexpr int kInfoMilliseconds = 6000;
 constexpr auto kTheme = "theme";
+constexpr auto kDark = "dark";
 
 QString colourOf(Workspace::Level level) {
   switch (level) {
@@ -55,6 +56,8 @@ QString inWords(double seconds) {
 
 MainWindow::MainWindow(Workspace& workspace, const QString& firstPage, QWidget* parent)
     : QMainWindow(parent), workspace_(workspace) {
+  // First: pages take their colours from it.
+  applyTheme(workspace_.settings().value(kTheme, kDark).toString());
   setWindowTitle("lightsketch");
   setAcceptDrops(true);
   resize(1280, 720);
@@ -158,8 +161,8 @@ void MainWindow::buildMenus() {
   }
   view->addSeparator();
   auto* themes = new QActionGroup(this);
-  const QString now = workspace_.settings().value(kTheme, "dark").toString();
-  for (const auto& [name, label] : {std::pair{"dark", tr("&Dark")}, {"light", tr("&Light")}}) {
+  const QString now = workspace_.settings().value(kTheme, kDark).toString();
+  for (const auto& [name, label] : {std::pair{kDark, tr("&Dark")}, {"light", tr("&Light")}}) {
     QAction* action = view->addAction(label);
     action->setCheckable(true);
     action->setChecked(now == name);
@@ -169,7 +172,6 @@ void MainWindow::buildMenus() {
       applyTheme(name);
     });
   }
-  applyTheme(now);
 }
 
 void MainWindow::fillRecent() {
