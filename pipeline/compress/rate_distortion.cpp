@@ -240,7 +240,8 @@ std::shared_ptr<const PackedCode> RateDistortion::encode(double noise) const {
 
 Result<double> noiseFor(const NoiseTarget& target, double start, double finest, double coarsest,
                         const std::function<Result<double>(double)>& quantity) {
-  constexpr double kClose = 1.0 / 32;  // octaves
+  // Octaves. Files of some 10 kB jump by several percent within a 32nd.
+  constexpr double kClose = 1.0 / 256;
   const double aim = 0.5 * (target.least + target.most);
   struct Trial {
     double octave;

@@ -58,7 +58,7 @@ struct NoiseTarget {
 };
 
 // The noise, from `finest` to `coarsest`, for which `quantity` is what the target says, or comes
-// closest from the side it says, to a 32nd of an octave; `finest` or `coarsest` where it lies
+// closest from the side it says, to a 256th of an octave; `finest` or `coarsest` where it lies
 // beyond. By false position and bisection from `start`.
 Result<double> noiseFor(const NoiseTarget& target, double start, double finest, double coarsest,
                         const std::function<Result<double>(double)>& quantity);

@@ -241,14 +241,15 @@ TEST(Budget, IsKeptWhereAllTheEnergyIsInOneBlock) {
     EXPECT_LE(std::filesystem::file_size(path), budget);
     fmt::print("{} bytes: {:.2f} dB, {} rows\n", budget, made->summary.error->srgbPsnr,
                made->summary.rows);
-    EXPECT_GE(made->summary.error->srgbPsnr, psnr);
+    // Two searches may end a little apart on one and the same step of so small a file.
+    EXPECT_GE(made->summary.error->srgbPsnr, psnr - 0.01);
     psnr = made->summary.error->srgbPsnr;
     if (first == 0) first = psnr;
   }
   EXPECT_GT(psnr, first + 5);
 }
 
-// A tenth of a decibel is what the search is content with, a 32nd of an octave of noise at most
+// A tenth of a decibel is what the search is content with, a 256th of an octave of noise at most
 // another.
 TEST_F(Targets, PsnrIsKeptAndNotExceededMuch) {
   const auto [model, summary] = made({.psnr = 36});
