@@ -11,6 +11,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "capture/frame/direction.h"
+
 namespace lightsketch {
 namespace {
 
@@ -20,10 +22,6 @@ constexpr double kMargin = 10;       // logical pixels around the disc
 constexpr double kGrab = 12;         // how near a click must be
 constexpr double kKeyStep = 2;       // degrees per arrow key
 constexpr double kRingDegrees = 30;  // between rings
-
-double angleBetween(const Vector3d& a, const Vector3d& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b));
-}
 
 }  // namespace
 
@@ -41,7 +39,7 @@ void HemisphereView::setWholeSphere(bool on) {
 
 void HemisphereView::setDots(std::vector<Dot> dots) {
   dots_ = std::move(dots);
-  marked_ = hovered_ = -1;
+  marked_ = -1;
   ground_ = {};
   update();
 }
@@ -235,7 +233,7 @@ void HemisphereView::paintEvent(QPaintEvent*) {
 
   // The region being selected.
   if (regionFrom_ && regionTo_) {
-    const double radius = angleBetween(*regionFrom_, *regionTo_);
+    const double radius = angleBetween(*regionFrom_, *regionTo_).radians();
     QPainterPath outline;
     const Vector3d side = regionFrom_->unitOrthogonal();
     for (int i = 0; i <= 64; ++i) {
@@ -291,12 +289,6 @@ void HemisphereView::mouseMoveEvent(QMouseEvent* event) {
   } else if (regionFrom_) {
     regionTo_ = direction;
     update();
-  } else {
-    const int dot = dotAt(event->position());
-    if (dot != hovered_) {
-      hovered_ = dot;
-      Q_EMIT dotHovered(dot);
-    }
   }
 }
 
@@ -306,8 +298,8 @@ void HemisphereView::mouseReleaseEvent(QMouseEvent* event) {
   const auto from = *std::exchange(regionFrom_, std::nullopt);
   const auto to = std::exchange(regionTo_, std::nullopt);
   update();
-  if (to && angleBetween(from, *to) > 0.5 * std::numbers::pi / 180) {
-    Q_EMIT regionSelected(from, angleBetween(from, *to));
+  if (to && angleBetween(from, *to).degrees() > 0.5) {
+    Q_EMIT regionSelected(from, angleBetween(from, *to).radians());
   } else if (const int dot = dotAt(event->position()); dot >= 0) {
     Q_EMIT dotClicked(dot);
   }

@@ -59,7 +59,6 @@ class HemisphereView : public QWidget {
 
  Q_SIGNALS:
   void dotClicked(int index);
-  void dotHovered(int index);  // -1: none
   void handleSelected(int index);
   void handleMoved(int index, const Eigen::Vector3d& direction);
   // Radians.
@@ -97,7 +96,6 @@ class HemisphereView : public QWidget {
   bool selectsRegions_ = false;
   int selected_ = -1;
   int marked_ = -1;
-  int hovered_ = -1;
   bool dragging_ = false;
   std::optional<Eigen::Vector3d> regionFrom_;
   std::optional<Eigen::Vector3d> regionTo_;
