@@ -249,19 +249,19 @@ Result<double> noiseFor(const NoiseTarget& target, double start, double finest, 
   };
   std::optional<Trial> tooMuch;
   std::optional<Trial> tooLittle;
-  const double first = std::log2(finest);
-  const double last = std::log2(coarsest);
-  double octave = std::clamp(std::log2(start), first, last);
+  // From `finest`, which so is tried, and returned, to the last bit.
+  const double last = std::log2(coarsest / finest);
+  double octave = std::clamp(std::log2(start / finest), 0.0, last);
   for (int trials = 0;; ++trials) {
-    ASSIGN_OR_RETURN(const double value, quantity(std::exp2(octave)));
+    ASSIGN_OR_RETURN(const double value, quantity(finest * std::exp2(octave)));
     const bool less = value < target.least;
     if (!less && value <= target.most) break;
-    if (less ? octave <= first : octave >= last) break;
+    if (less ? octave <= 0 : octave >= last) break;
     (less ? tooLittle : tooMuch) = Trial{octave, value - aim};
     if (!tooMuch || !tooLittle) {
       // Every second step in one direction goes twice as far as it should.
       octave += (trials % 2 + 1) * (value - aim) / target.perOctave;
-      octave = std::clamp(octave, first, last);
+      octave = std::clamp(octave, 0.0, last);
       continue;
     }
     const double width = tooLittle->octave - tooMuch->octave;
@@ -276,7 +276,7 @@ Result<double> noiseFor(const NoiseTarget& target, double start, double finest, 
             : std::clamp(tooMuch->surplus / (tooMuch->surplus - tooLittle->surplus), 0.05, 0.95);
     octave = tooMuch->octave + part * width;
   }
-  return std::exp2(octave);
+  return finest * std::exp2(octave);
 }
 
 }  // namespace lightsketch

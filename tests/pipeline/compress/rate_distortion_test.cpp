@@ -159,7 +159,9 @@ TEST(RateDistortion, SearchEndsAtItsBounds) {
   const auto much = [](double) -> Result<double> { return 40; };
   const auto little = [](double) -> Result<double> { return 10; };
   EXPECT_NEAR(noiseFor({29, 30, 1, true}, 0.1, 1e-6, 8, much).value(), 8, 1e-9);
-  EXPECT_NEAR(noiseFor({29, 30, 1, true}, 0.1, 1e-6, 8, little).value(), 1e-6, 1e-15);
+  // To the last bit: who searches on with finer stages asks whether the noise is the finest.
+  for (const double finest : {1e-6, 3.3e-5, 0.7e-3, 1.0 / 3})
+    EXPECT_EQ(noiseFor({29, 30, 1, true}, 0.4, finest, 8, little).value(), finest);
 }
 
 class Targets : public ::testing::Test {

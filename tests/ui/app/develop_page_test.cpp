@@ -93,7 +93,7 @@ class DevelopPageTest : public QObject {
     const auto file = toPath(app.find<QLineEdit>("modelFile")->text());
     QVERIFY(develop(app));
     const auto model = loadModel(file);
-    QVERIFY2(model.has_value(), file.c_str());
+    QVERIFY2(model.has_value(), qPrintable(app.banner("task/Develop ball")));
     QCOMPARE(QString::fromStdString(model->notes.at("setting").get<std::string>()), setting);
     QCOMPARE(model->storage, button == "paper" ? Storage::kFloat16 : Storage::kPacked);
     // Frames are kept back, so that it can be measured at once.
