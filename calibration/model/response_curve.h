@@ -14,7 +14,7 @@ namespace lightsketch {
 int colourChannels(PixelFormat format);
 // Colour of a sample; `sample` counts within the pixel (RGB), Bayer sites go by their place.
 inline int sampleColour(const PixelFormatInfo& info, int x, int y, int sample) {
-  return info.isBayer ? (x & 1) + (y & 1) : sample;
+  return info.isBayer ? ((x ^ info.redX) & 1) + ((y ^ info.redY) & 1) : sample;
 }
 
 // Per colour a strictly increasing function: exposure 0 is no light, 1 the count at which the

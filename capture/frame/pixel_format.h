@@ -9,12 +9,30 @@ namespace lightsketch {
 
 enum class PixelFormat {
   kMono8,
-  kMono10,  // 10, 12 and 16 bit: little endian in 16-bit words, value in the low bits
+  kMono10,  // 10 to 16 bit: little endian in 16-bit words, value in the low bits
   kMono12,
+  kMono14,
   kMono16,
   kBayerRG8,  // first row R G R G..., second row G B G B...
+  kBayerRG10,
   kBayerRG12,
+  kBayerRG14,
   kBayerRG16,
+  kBayerGR8,
+  kBayerGR10,
+  kBayerGR12,
+  kBayerGR14,
+  kBayerGR16,
+  kBayerGB8,
+  kBayerGB10,
+  kBayerGB12,
+  kBayerGB14,
+  kBayerGB16,
+  kBayerBG8,
+  kBayerBG10,
+  kBayerBG12,
+  kBayerBG14,
+  kBayerBG16,
   kRgb8,
 };
 
@@ -26,6 +44,8 @@ struct PixelFormatInfo {
   int bits;      // significant bits per sample; the largest value is 2^bits - 1
   int channels;  // samples per pixel
   bool isBayer;
+  int redX = 0;  // where the mosaic's cell of 2 x 2 has red; blue is diagonally opposite
+  int redY = 0;
 };
 
 const PixelFormatInfo& pixelFormatInfo(PixelFormat format);

@@ -51,7 +51,9 @@ struct Filtered {
   float* diagonal;     // red at blue, blue at red
 };
 
-void weaveRow(const float* c, const Filtered& f, bool redRow, int width, float* __restrict out) {
+// `coloured`: the first sample of the row that is not green.
+void weaveRow(const float* c, const Filtered& f, bool redRow, int coloured, int width,
+              float* __restrict out) {
   // The colour that this row's mosaic holds beside green, and the one it lacks.
   const int own = redRow ? 0 : 2;
   const int other = 2 - own;
@@ -67,8 +69,8 @@ void weaveRow(const float* c, const Filtered& f, bool redRow, int width, float* 
     pixel[1] = c[x];
     pixel[other] = f.alongColumn[x];
   };
-  for (int x = redRow ? 0 : 1; x < width; x += 2) colour(x);
-  for (int x = redRow ? 1 : 0; x < width; x += 2) green(x);
+  for (int x = coloured; x < width; x += 2) colour(x);
+  for (int x = 1 - coloured; x < width; x += 2) green(x);
 }
 
 }  // namespace
@@ -180,10 +182,13 @@ void SamplePlane::flatten(const FlatField& field) {
   for (int y = 0; y < height_; ++y) {
     const std::span<float> samples = row(y);
     for (int colour = 0; colour < field.colours(); ++colour) {
-      if (info_.isBayer && colour != (y & 1) && colour != (y & 1) + 1) continue;
+      std::size_t x = 0;  // the first of the colour
+      if (info_.isBayer) {
+        while (x < 2 && sampleColour(info_, static_cast<int>(x), y, 0) != colour) ++x;
+        if (x == 2) continue;
+      }
       field.sensitivityOfRow((y + 0.5) / height_, colour, sensitivity);
       const std::size_t step = info_.isBayer ? 2 : index(info_.channels);
-      std::size_t x = info_.isBayer ? index(colour - (y & 1)) : 0;
       for (std::size_t i = info_.isBayer ? x : index(colour); i < samples.size(); i += step) {
         samples[i] /= sensitivity[x];
         x += info_.isBayer ? 2 : 1;
@@ -254,7 +259,8 @@ RadianceImage SamplePlane::demosaic() {
     const float* const samples = row(y).data();
     filterRow(samples, static_cast<std::ptrdiff_t>(stride_), width_, f.cross, f.alongRow,
               f.alongColumn, f.diagonal);
-    weaveRow(samples, f, y % 2 == 0, width_, image.row(y).data());
+    const bool redRow = y % 2 == info_.redY;
+    weaveRow(samples, f, redRow, redRow ? info_.redX : 1 - info_.redX, width_, image.row(y).data());
   }
   return image;
 }

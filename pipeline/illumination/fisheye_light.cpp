@@ -213,15 +213,16 @@ void sumMono(const Sample* top, const Sample* bottom, const Span& span, const Co
   sum.setConstant(0.25f * ((sums[0] + sums[1]) + (sums[2] + sums[3])));
 }
 
+// `red`: where a quad has it.
 template <class Sample>
-void sumBayer(const Sample* top, const Sample* bottom, const Span& span, const CountTables& tables,
-              Eigen::Array3f& sum) {
+void sumBayer(const Sample* top, const Sample* bottom, int red, const Span& span,
+              const CountTables& tables, Eigen::Array3f& sum) {
   float sums[4] = {0, 0, 0, 0};
   for (int x = kQuad * span.x; x < kQuad * (span.x + span.count); x += kQuad) {
-    sums[0] += tables[0][top[x]];
-    sums[1] += tables[1][top[x + 1]];
-    sums[2] += tables[1][bottom[x]];
-    sums[3] += tables[2][bottom[x + 1]];
+    sums[0] += tables[0][top[x + red]];
+    sums[1] += tables[1][top[x + 1 - red]];
+    sums[2] += tables[1][bottom[x + red]];
+    sums[3] += tables[2][bottom[x + 1 - red]];
   }
   sum = {sums[0], 0.5f * (sums[1] + sums[2]), sums[3]};
 }
@@ -299,8 +300,10 @@ Result<void> FisheyeLight::intensities(const Frame& frame, double radianceAtSatu
   if (info.channels == 3) {
     addAll(bytes, 3, sumRgb);
   } else if (info.isBayer) {
-    info.bits > 8 ? addAll(words, 1, sumBayer<std::uint16_t>)
-                  : addAll(bytes, 1, sumBayer<std::uint8_t>);
+    const auto sum = [&info](const auto* top, const auto* bottom, auto&&... rest) {
+      sumBayer(info.redY == 0 ? top : bottom, info.redY == 0 ? bottom : top, info.redX, rest...);
+    };
+    info.bits > 8 ? addAll(words, 1, sum) : addAll(bytes, 1, sum);
   } else {
     info.bits > 8 ? addAll(words, 1, sumMono<std::uint16_t>)
                   : addAll(bytes, 1, sumMono<std::uint8_t>);

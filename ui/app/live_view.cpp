@@ -15,11 +15,11 @@ constexpr std::uint32_t kSharpColour = 0xffffd400;
 constexpr int kCodes = 4096;  // counts are looked up as 12 bits; an 8-bit screen shows no more
 
 // Screen code of a count's upper 12 bits.
-std::vector<std::uint8_t> screenCodes(float brightness) {
+std::vector<std::uint8_t> screenCodes() {
   std::vector<std::uint8_t> codes(kCodes);
   for (int i = 0; i < kCodes; ++i) {
     codes[static_cast<std::size_t>(i)] =
-        srgbEncode8(brightness * static_cast<float>(i) / static_cast<float>(kCodes - 1));
+        srgbEncode8(static_cast<float>(i) / static_cast<float>(kCodes - 1));
   }
   return codes;
 }
@@ -27,7 +27,7 @@ std::vector<std::uint8_t> screenCodes(float brightness) {
 using Codes = std::array<std::uint16_t, 3>;
 
 // What the screen shows of a frame, a line at a time: pixels of a colour or grey frame, 2 x 2 of a
-// mosaic (which begins with red in all formats there are).
+// mosaic.
 class Reader {
  public:
   explicit Reader(const Frame& frame)
@@ -40,11 +40,12 @@ class Reader {
     const auto columns = static_cast<std::size_t>(width());
     rgb.resize(columns);
     if (info_.isBayer) {
-      decode(2 * y, line_);
-      decode(2 * y + 1, next_);
+      decode(2 * y + info_.redY, line_);  // the line with the red samples
+      decode(2 * y + 1 - info_.redY, next_);
+      const auto red = static_cast<std::size_t>(info_.redX);
       for (std::size_t x = 0; x < columns; ++x) {
-        const int green = (line_[2 * x + 1] + next_[2 * x]) / 2;
-        rgb[x] = {line_[2 * x], static_cast<std::uint16_t>(green), next_[2 * x + 1]};
+        const int green = (line_[2 * x + 1 - red] + next_[2 * x + red]) / 2;
+        rgb[x] = {line_[2 * x + red], static_cast<std::uint16_t>(green), next_[2 * x + 1 - red]};
       }
       return;
     }
@@ -203,8 +204,8 @@ void LiveView::convert(const std::stop_token& stop) {
       size = wantedSize();
       fresh_ = false;
     }
-    auto picture = std::make_shared<ViewPicture>(
-        toPicture(*frame, size, brightness_, showSaturation_, showFocus_));
+    auto picture =
+        std::make_shared<ViewPicture>(toPicture(*frame, size, showSaturation_, showFocus_));
     picture->metadata = frame->metadata;
     {
       const std::lock_guard lock(mutex_);
@@ -219,15 +220,14 @@ std::unique_ptr<Camera> tapped(std::unique_ptr<Camera> camera, std::shared_ptr<L
   return std::make_unique<TappedCamera>(std::move(camera), std::move(view));
 }
 
-ViewPicture toPicture(const Frame& frame, QSize size, float brightness, bool showSaturation,
-                      bool showFocus) {
+ViewPicture toPicture(const Frame& frame, QSize size, bool showSaturation, bool showFocus) {
   Reader reader(frame);
   const int width = reader.width();
   const int height = reader.height();
   ViewPicture picture;
   picture.frameSize = {frame.width, frame.height};
   picture.image = QImage(width, height, QImage::Format_RGB32);
-  const std::vector<std::uint8_t> codes = screenCodes(brightness);
+  const std::vector<std::uint8_t> codes = screenCodes();
   constexpr int kSaturated = kCodes - kCodes / 256;
   // Gradients of green, square on square, so that brightness cancels.
   double gradients = 0;

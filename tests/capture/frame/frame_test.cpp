@@ -29,12 +29,18 @@ TEST(PixelFormat, NamesAndCodesAreGenICams) {
   EXPECT_EQ(pixelFormatFromCode(0x01080001), PixelFormat::kMono8);
   EXPECT_EQ(pixelFormatFromCode(0x02180014), PixelFormat::kRgb8);
   // PFNC: bits 16 to 23 of a code are the bits a pixel takes on the wire.
-  for (const auto format : {PixelFormat::kMono8, PixelFormat::kMono10, PixelFormat::kMono12,
-                            PixelFormat::kMono16, PixelFormat::kBayerRG8, PixelFormat::kBayerRG12,
-                            PixelFormat::kBayerRG16, PixelFormat::kRgb8}) {
-    const auto& info = pixelFormatInfo(format);
-    EXPECT_EQ(info.format, format);
+  for (int i = 0; i <= static_cast<int>(PixelFormat::kRgb8); ++i) {
+    const auto& info = pixelFormatInfo(static_cast<PixelFormat>(i));
+    EXPECT_EQ(static_cast<int>(info.format), i);
     EXPECT_EQ(static_cast<int>((info.pfncCode >> 16) & 0xFF), 8 * info.bytesPerPixel) << info.name;
+    EXPECT_EQ(pixelFormatFromName(info.name), info.format);
+    EXPECT_EQ(pixelFormatFromCode(info.pfncCode), info.format);
+    // A mosaic's name spells its first row.
+    if (info.isBayer) {
+      const std::string expected =
+          info.redY == 0 ? (info.redX == 0 ? "RG" : "GR") : (info.redX == 0 ? "GB" : "BG");
+      EXPECT_EQ(info.name, "Bayer" + expected + std::to_string(info.bits));
+    }
   }
 }
 

@@ -30,14 +30,18 @@ Frame emptyFrame(PixelFormat format, int width, int height) {
   return frame;
 }
 
-// Samples an RGB picture (values 0..1) through the RG mosaic.
+// Samples an RGB picture (values 0..1) through a format's mosaic.
 Frame mosaic(PixelFormat format, int width, int height,
              const std::function<double(int x, int y, int channel)>& picture) {
   Frame frame = emptyFrame(format, width, height);
   const double maximum = (1 << pixelFormatInfo(format).bits) - 1;
   for (int y = 0; y < height; ++y) {
     for (int x = 0; x < width; ++x) {
-      const int channel = y % 2 + x % 2;  // R at (0,0), B at (1,1), G between
+      // "BayerGR12" begins a row with G R; what stands below is the rest of R, G, G and B.
+      const std::string row(pixelFormatInfo(format).name.substr(5, 2));
+      const std::string below = row == "RG" ? "GB" : row == "GR" ? "BG" : row == "GB" ? "RG" : "GR";
+      const char colour = (y % 2 == 0 ? row : below)[static_cast<std::size_t>(x % 2)];
+      const int channel = colour == 'R' ? 0 : colour == 'G' ? 1 : 2;
       put(frame, static_cast<std::size_t>(y * width + x),
           static_cast<int>(std::lround(maximum * picture(x, y, channel))));
     }
@@ -48,7 +52,8 @@ Frame mosaic(PixelFormat format, int width, int height,
 TEST(Linearise, AFlatColourIsReproducedEverywhereIncludingEdges) {
   const double colour[3] = {0.25, 0.5, 0.125};
   for (const PixelFormat format :
-       {PixelFormat::kBayerRG8, PixelFormat::kBayerRG12, PixelFormat::kBayerRG16}) {
+       {PixelFormat::kBayerRG8, PixelFormat::kBayerGR10, PixelFormat::kBayerRG12,
+        PixelFormat::kBayerBG14, PixelFormat::kBayerGB16}) {
     const auto frame = mosaic(format, 9, 7, [&](int, int, int c) { return colour[c]; });
     const auto linear = linearise(frame);
     ASSERT_TRUE(linear);
@@ -98,18 +103,24 @@ TEST(Linearise, DemosaicBeatsBilinearOnFineGreyDetail) {
 }
 
 TEST(Linearise, EachColourLandsInItsChannel) {
-  for (int lit = 0; lit < 3; ++lit) {
-    const auto frame = mosaic(PixelFormat::kBayerRG12, 32, 32,
-                              [&](int, int, int c) { return c == lit ? 0.5 : 0.0; });
-    const auto linear = linearise(frame);
-    ASSERT_TRUE(linear);
-    double mean[3] = {0, 0, 0};
-    for (int y = 0; y < 32; ++y) {
-      for (int x = 0; x < 32; ++x) {
-        for (int c = 0; c < 3; ++c) mean[c] += linear->radiance(x, y, c) / (32.0 * 32.0);
+  for (const PixelFormat format : {PixelFormat::kBayerRG12, PixelFormat::kBayerGR12,
+                                   PixelFormat::kBayerGB12, PixelFormat::kBayerBG12}) {
+    for (int lit = 0; lit < 3; ++lit) {
+      const auto frame =
+          mosaic(format, 32, 32, [&](int, int, int c) { return c == lit ? 0.5 : 0.0; });
+      const auto linear = linearise(frame);
+      ASSERT_TRUE(linear);
+      double mean[3] = {0, 0, 0};
+      for (int y = 0; y < 32; ++y) {
+        for (int x = 0; x < 32; ++x) {
+          for (int c = 0; c < 3; ++c) mean[c] += linear->radiance(x, y, c) / (32.0 * 32.0);
+        }
+      }
+      for (int c = 0; c < 3; ++c) {
+        EXPECT_NEAR(mean[c], c == lit ? 0.5 : 0.0, 1e-3)
+            << pixelFormatInfo(format).name << lit << c;
       }
     }
-    for (int c = 0; c < 3; ++c) EXPECT_NEAR(mean[c], c == lit ? 0.5 : 0.0, 1e-3) << lit << c;
   }
 }
 

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -137,19 +138,24 @@ TEST(FisheyeLight, TellsColoursApart) {
   const auto light =
       FisheyeLight::create(*lens(240, 95), facing(Vector3d::UnitZ()), grid->directions());
   ASSERT_TRUE(light);
-  auto bayer = constantFrame(PixelFormat::kBayerRG8, 240, 0);
-  for (int y = 0; y < 240; ++y) {
-    for (int x = 0; x < 240; ++x) {
-      // R 200, G 100, B 50 by their places.
-      bayer.bytes[static_cast<std::size_t>(y * 240 + x)] = (x + y) % 2 == 1 ? 100
-                                                           : x % 2 == 0     ? 200
-                                                                            : 50;
+  // R 200, G 100, B 50 in the mosaic's cell of 2 x 2, row by row.
+  for (const auto& [format, cell] :
+       {std::pair{PixelFormat::kBayerRG8, std::array{200, 100, 100, 50}},
+        {PixelFormat::kBayerGR8, {100, 200, 50, 100}},
+        {PixelFormat::kBayerGB8, {100, 50, 200, 100}},
+        {PixelFormat::kBayerBG8, {50, 100, 100, 200}}}) {
+    auto bayer = constantFrame(format, 240, 0);
+    for (int y = 0; y < 240; ++y) {
+      for (int x = 0; x < 240; ++x) {
+        bayer.bytes[static_cast<std::size_t>(y * 240 + x)] =
+            static_cast<std::uint8_t>(cell[static_cast<std::size_t>(2 * (y % 2) + x % 2)]);
+      }
     }
+    LightIntensities out;
+    ASSERT_TRUE(light->intensities(bayer, 1, out));
+    EXPECT_NEAR(out(50, 0) / out(50, 1), 2, 1e-5) << pixelFormatInfo(format).name;
+    EXPECT_NEAR(out(50, 2) / out(50, 1), 0.5, 1e-5) << pixelFormatInfo(format).name;
   }
-  LightIntensities out;
-  ASSERT_TRUE(light->intensities(bayer, 1, out));
-  EXPECT_NEAR(out(50, 0) / out(50, 1), 2, 1e-5);
-  EXPECT_NEAR(out(50, 2) / out(50, 1), 0.5, 1e-5);
 }
 
 TEST(FisheyeLight, TakesOffBlackAndUsesTheSensorsResponse) {
