@@ -30,6 +30,9 @@ struct CameraSettings {
   std::optional<double> exposureSeconds;
   std::optional<double> gainDb;
   std::optional<double> framesPerSecond;
+  // What starts each exposure: "" the camera's own rate, "Software" setFeature("TriggerSoftware"),
+  // or an input such as "Line1". Not all cameras have any other than "".
+  std::optional<std::string> trigger;
 };
 
 struct StreamStatistics {
@@ -42,6 +45,8 @@ struct StreamStatistics {
   std::uint64_t packetsReceived = 0;  // 0 where the link has no packets
   std::uint64_t packetsMissing = 0;
   std::uint64_t packetsResent = 0;
+  std::uint64_t implausible = 0;  // whole frames withheld because a packet's place, a checksum or
+                                  // the time of exposure cannot be right
 };
 
 using FrameCallback = std::function<void(Frame&&)>;
@@ -67,7 +72,11 @@ class Camera {
   // Whether frames come from now on, at moments that starting it chooses; false for a recording.
   virtual bool isLive() const { return true; }
 
-  // GenICam features by name, for what only some cameras have.
+  // What the user should know of how it is set up, a line each: a format that was fallen back to, a
+  // socket buffer that the system keeps small. Complete once it streams.
+  virtual std::vector<std::string> notes() const { return {}; }
+
+  // GenICam features by name, for what only some cameras have. Setting a command executes it.
   virtual bool hasFeature(const std::string& name) const = 0;
   virtual Result<void> setFeature(const std::string& name, double value) = 0;
 };

@@ -111,6 +111,10 @@ class DetachableCamera final : public Camera {
     if (now) statistics_ = *now;
     return statistics_;
   }
+  std::vector<std::string> notes() const override {
+    return ask([](Camera& camera) { return camera.notes(); }, kShortAnswer)
+        .value_or(std::vector<std::string>());
+  }
   bool hasFeature(const std::string& name) const override {
     return ask([name](Camera& camera) { return camera.hasFeature(name); }, kAnswer).value_or(false);
   }
