@@ -15,6 +15,7 @@
 #include <utility>
 
 #include "capture/device/clock_mapping.h"
+#include "capture/device/exposure_log.h"
 #include "capture/device/gvcp_probe.h"
 
 namespace lightsketch {
@@ -31,6 +32,7 @@ constexpr int kComparisons = 4;
 // exposure and that differs by camera; this is what we admit to.
 constexpr auto kUnlatchedSigma = std::chrono::milliseconds(2);
 constexpr auto kUnlatchedWindow = std::chrono::seconds(1);
+constexpr int kSettlingFrames = 1;  // a change takes effect after one frame (measured)
 
 // GigE Vision bootstrap registers.
 constexpr std::uint64_t kTimestampControl = 0x0944;
@@ -63,54 +65,6 @@ class GlibError {
 
 std::string orEmpty(const char* text) { return text == nullptr ? "" : text; }
 
-// What the camera was told about its exposure.
-struct ExposureSetting {
-  double seconds = 0;
-  double gainDb = 0;
-};
-
-// Decides which exposure setting a frame was taken with, from the host time of its start.
-class ExposureLog {
- public:
-  void reset(ExposureSetting setting) {
-    current_ = setting;
-    change_.reset();
-  }
-  // Around telling the camera: what happens between the two calls is in doubt.
-  void beginChange() {
-    if (!change_) change_ = Change{current_, Clock::now(), std::nullopt, false};
-    change_->after.reset();
-    change_->settled = false;
-  }
-  void endChange(ExposureSetting setting) {
-    current_ = setting;
-    change_->after = Clock::now();
-  }
-  // Nothing: in doubt. A change takes effect after one frame (measured), so the first frame that
-  // starts after it is in doubt too.
-  std::optional<ExposureSetting> of(TimePoint start, Duration sigma) {
-    if (!change_) return current_;
-    const Duration margin = 3 * sigma + std::chrono::milliseconds(1);
-    if (start + margin < change_->before) return change_->previous;
-    if (!change_->after || start - margin < *change_->after) return std::nullopt;
-    if (!std::exchange(change_->settled, true)) return std::nullopt;
-    change_.reset();
-    return current_;
-  }
-
-  const ExposureSetting& current() const { return current_; }
-
- private:
-  struct Change {
-    ExposureSetting previous;
-    TimePoint before;
-    std::optional<TimePoint> after;  // nothing: the camera is being told just now
-    bool settled = false;
-  };
-  ExposureSetting current_;
-  std::optional<Change> change_;
-};
-
 // What Aravis' threads work on. Shared with them, because a dead camera is closed in the background
 // and may outlive the Camera object.
 struct Link {
@@ -126,7 +80,7 @@ struct Link {
   std::mutex mutex;  // Guards the following.
   StreamStatistics statistics;
   ClockMapping clock;
-  ExposureLog exposures;
+  ExposureLog exposures{kSettlingFrames};
   bool latched = false;      // the clock is mapped by latching it; otherwise by arrivals
   bool warmedUp = false;     // the first frame of a session is often incomplete: it is dropped
   std::uint64_t lastId = 0;  // unwrapped; 0: none yet
