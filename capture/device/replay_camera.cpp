@@ -145,7 +145,7 @@ class ReplayCamera final : public Camera {
   Result<CameraSettings> configure(const CameraSettings&) override {
     return CameraSettings{first_.format, Region{0, 0, first_.width, first_.height},
                           first_.metadata.exposureSeconds, first_.metadata.gainDb,
-                          framesPerSecond_};
+                          framesPerSecond_, ""};
   }
 
   Result<void> start(FrameCallback onFrame, EndCallback onEnd) override {
