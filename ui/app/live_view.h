@@ -54,8 +54,6 @@ class LiveView final : public QObject {
   // Paint saturated pixels red, sharp edges yellow.
   void setShowSaturation(bool on) { showSaturation_ = on; }
   void setShowFocus(bool on) { showFocus_ = on; }
-  // Factor on radiance before it is encoded for the screen.
-  void setBrightness(float factor) { brightness_ = factor; }
   // Frames published each second, over the last second.
   double framesPerSecond() const;
 
@@ -68,7 +66,6 @@ class LiveView final : public QObject {
 
   std::atomic<bool> showSaturation_ = false;
   std::atomic<bool> showFocus_ = false;
-  std::atomic<float> brightness_ = 1;
   mutable std::mutex mutex_;  // Guards everything below.
   std::condition_variable_any changed_;
   std::shared_ptr<const Frame> frame_;
@@ -84,7 +81,6 @@ std::unique_ptr<Camera> tapped(std::unique_ptr<Camera> camera, std::shared_ptr<L
 
 // For the screen, as large as fits into `size`. Linear counts are sRGB-encoded. Fills everything of
 // the picture but metadata.
-ViewPicture toPicture(const Frame& frame, QSize size, float brightness, bool showSaturation,
-                      bool showFocus);
+ViewPicture toPicture(const Frame& frame, QSize size, bool showSaturation, bool showFocus);
 
 }  // namespace lightsketch
