@@ -7,12 +7,46 @@
 namespace lightsketch::gige {
 namespace {
 
-std::string intRegister(std::string_view name, std::uint32_t address, std::string_view access) {
+std::string intRegister(std::string_view name, std::uint32_t address, std::string_view access,
+                        std::string_view index = "") {
   return fmt::format(
-      "<IntReg Name=\"{}\"><Address>{:#x}</Address><Length>4</Length><AccessMode>{}</AccessMode>"
-      "<pPort>Device</pPort><Cachable>NoCache</Cachable><Sign>Unsigned</Sign>"
+      "<IntReg Name=\"{}\"><Address>{:#x}</Address>{}<Length>4</Length>"
+      "<AccessMode>{}</AccessMode><pPort>Device</pPort><Cachable>NoCache</Cachable><Sign>Unsigned</"
+      "Sign>"
       "<Endianess>BigEndian</Endianess></IntReg>\n",
-      name, address, access);
+      name, address, index, access);
+}
+
+std::string boolean(std::string_view name, std::uint32_t address, std::string_view index = "") {
+  return fmt::format(
+             "<Boolean Name=\"{0}\"><pValue>{0}Reg</pValue><OnValue>1</OnValue>"
+             "<OffValue>0</OffValue></Boolean>\n",
+             name) +
+         intRegister(fmt::format("{}Reg", name), address, "RW", index);
+}
+
+// Values count from 0. Without an address it is always the first.
+std::string enumeration(std::string_view name, std::initializer_list<std::string_view> entries,
+                        std::uint32_t address) {
+  std::string xml = fmt::format("<Enumeration Name=\"{}\">", name);
+  int value = 0;
+  for (const std::string_view entry : entries) {
+    xml += fmt::format("<EnumEntry Name=\"{}\"><Value>{}</Value></EnumEntry>", entry, value++);
+  }
+  if (address == 0) return xml + "<Value>0</Value></Enumeration>\n";
+  xml += fmt::format("<pValue>{}Reg</pValue></Enumeration>\n", name);
+  return xml + intRegister(fmt::format("{}Reg", name), address, "RW");
+}
+
+std::string chunk(std::string_view kind, std::string_view name, std::uint32_t id, int length) {
+  const bool real = kind == "Float";
+  return fmt::format(
+      "<{0} Name=\"{1}\"><pValue>{1}Reg</pValue></{0}>\n"
+      "<{2} Name=\"{1}Reg\"><Address>0</Address><Length>{3}</Length><AccessMode>RO</AccessMode>"
+      "<pPort>{1}Port</pPort><Cachable>NoCache</Cachable>{4}<Endianess>BigEndian</Endianess></"
+      "{2}>\n"
+      "<Port Name=\"{1}Port\"><ChunkID>{5:x}</ChunkID></Port>\n",
+      kind, name, real ? "FloatReg" : "IntReg", length, real ? "" : "<Sign>Unsigned</Sign>", id);
 }
 
 std::string integer(std::string_view name, std::uint32_t address) {
@@ -76,7 +110,9 @@ constexpr std::string_view kHead = R"(<?xml version="1.0" encoding="utf-8"?>
 <pFeature>OffsetX</pFeature><pFeature>OffsetY</pFeature><pFeature>PixelFormat</pFeature></Category>
 <Category Name="AcquisitionControl"><pFeature>AcquisitionMode</pFeature>
 <pFeature>AcquisitionStart</pFeature><pFeature>AcquisitionStop</pFeature>
-<pFeature>AcquisitionFrameRate</pFeature><pFeature>ExposureTime</pFeature></Category>
+<pFeature>AcquisitionFrameRate</pFeature><pFeature>ExposureTime</pFeature>
+<pFeature>TriggerSelector</pFeature><pFeature>TriggerMode</pFeature>
+<pFeature>TriggerSource</pFeature><pFeature>TriggerSoftware</pFeature></Category>
 <Category Name="AnalogControl"><pFeature>Gain</pFeature></Category>
 <Category Name="TransportLayerControl"><pFeature>PayloadSize</pFeature>
 <pFeature>GevSCPSPacketSize</pFeature></Category>
@@ -90,7 +126,7 @@ constexpr std::string_view kHead = R"(<?xml version="1.0" encoding="utf-8"?>
 
 }  // namespace
 
-std::string genicamXml(std::span<const PixelFormat> formats) {
+std::string genicamXml(const Features& features) {
   std::string xml(kHead);
   xml += string("DeviceVendorName", kManufacturer, 32);
   xml += string("DeviceModelName", kModel, 32);
@@ -104,10 +140,9 @@ std::string genicamXml(std::span<const PixelFormat> formats) {
   xml += side("OffsetY", kOffsetY, 0, "SensorHeight", "HeightReg");
 
   xml += "<Enumeration Name=\"PixelFormat\"><pIsLocked>TLParamsLocked</pIsLocked>\n";
-  for (const PixelFormat format : formats) {
-    const PixelFormatInfo& info = pixelFormatInfo(format);
-    xml += fmt::format("<EnumEntry Name=\"{}\"><Value>{}</Value></EnumEntry>\n", info.name,
-                       info.pfncCode);
+  for (const WireFormat& format : features.formats) {
+    xml += fmt::format("<EnumEntry Name=\"{}\"><Value>{}</Value></EnumEntry>\n", format.name,
+                       format.code);
   }
   xml += "<pValue>PixelFormatReg</pValue></Enumeration>\n";
   xml += intRegister("PixelFormatReg", kPixelFormat, "RW");
@@ -140,6 +175,27 @@ std::string genicamXml(std::span<const PixelFormat> formats) {
   xml += real("GuideX", kGuideX, -1, 1, "");
   xml += real("GuideY", kGuideY, -1, 1, "");
   xml += real("GuideZ", kGuideZ, -1, 1, "");
+  xml += enumeration("TriggerSelector", {"FrameStart"}, 0);
+  xml += enumeration("TriggerMode", {"Off", "On"}, kTriggerMode);
+  xml += enumeration("TriggerSource", {"Software", "Line1"}, kTriggerSource);
+  xml +=
+      "<Command Name=\"TriggerSoftware\"><pValue>TriggerSoftwareReg</pValue>"
+      "<CommandValue>1</CommandValue></Command>\n" +
+      intRegister("TriggerSoftwareReg", kTriggerSoftware, "RW");
+  if (features.ptp) {
+    xml += boolean("PtpEnable", kPtpEnable);
+    xml += enumeration("PtpStatus", {"Disabled", "Listening", "Slave"}, kPtpStatus);
+  }
+  if (features.chunks) {
+    xml += boolean("ChunkModeActive", kChunkMode);
+    xml += enumeration("ChunkSelector", {"ExposureTime", "Gain", "Timestamp", "PayloadCRC16"},
+                       kChunkSelector);
+    xml += boolean("ChunkEnable", kChunkEnable, "<pIndex Offset=\"4\">ChunkSelector</pIndex>");
+    xml += chunk("Float", "ChunkExposureTime", kExposureChunk, 8);
+    xml += chunk("Float", "ChunkGain", kGainChunk, 8);
+    xml += chunk("Integer", "ChunkTimestamp", kTimestampChunk, 8);
+    xml += chunk("Integer", "ChunkPayloadCRC16", kCrcChunk, 4);
+  }
   xml += real("RigProgram", kRigProgram, 0, kRigProgramCount - 1, "");
   xml += "</RegisterDescription>\n";
   xml.resize((xml.size() + 3) / 4 * 4, ' ');

@@ -2,10 +2,10 @@
 #pragma once
 
 #include <cstdint>
-#include <span>
 #include <string>
+#include <vector>
 
-#include "capture/frame/pixel_format.h"
+#include "capture/device/wire_format.h"
 
 namespace lightsketch::gige {
 
@@ -62,9 +62,25 @@ inline constexpr std::uint32_t kGuideMode = 0x1058;  // 0, 1, 2
 inline constexpr std::uint32_t kGuideX = 0x1060;
 inline constexpr std::uint32_t kGuideY = 0x1068;
 inline constexpr std::uint32_t kGuideZ = 0x1070;
-inline constexpr std::uint32_t kRigProgram = 0x1078;  // 0 to 5, see rig_program.h
-inline constexpr std::uint32_t kRegistersEnd = 0x1080;
+inline constexpr std::uint32_t kRigProgram = 0x1078;     // 0 to 5, see rig_program.h
+inline constexpr std::uint32_t kTriggerMode = 0x1080;    // integers from here on; 1: on
+inline constexpr std::uint32_t kTriggerSource = 0x1084;  // 0: Software, 1: Line1
+inline constexpr std::uint32_t kTriggerSoftware = 0x1088;
+inline constexpr std::uint32_t kPtpEnable = 0x108c;
+inline constexpr std::uint32_t kPtpStatus = 0x1090;  // 0: disabled, 1: listening, 2: slave
+inline constexpr std::uint32_t kChunkMode = 0x1094;
+inline constexpr std::uint32_t kChunkSelector = 0x1098;
+inline constexpr std::uint32_t kChunkEnable = 0x10a0;  // one for each of the chunks below
+inline constexpr std::uint32_t kChunkCount = 4;
+inline constexpr std::uint32_t kRegistersEnd = kChunkEnable + 4 * kChunkCount;
 inline constexpr std::uint32_t kXml = 0x10000;
+
+// Chunks after the picture (GigE Vision 2.0, section 27), in the order of their enabling registers.
+inline constexpr std::uint32_t kImageChunk = 1;
+inline constexpr std::uint32_t kExposureChunk = 0x1001;   // float64, microseconds
+inline constexpr std::uint32_t kGainChunk = 0x1002;       // float64, dB
+inline constexpr std::uint32_t kTimestampChunk = 0x1003;  // 64 bits
+inline constexpr std::uint32_t kCrcChunk = 0x1004;        // 32 bits, of all bytes before its value
 
 // Limits; writes beyond them are refused.
 inline constexpr std::uint32_t kMinSide = 8;
@@ -74,7 +90,13 @@ inline constexpr double kMaxGainDb = 48;
 inline constexpr double kMinFrameRate = 0.1, kMaxFrameRate = 1000;
 inline constexpr std::uint32_t kMinPacketSize = 220, kMaxPacketSize = 9000;
 
+struct Features {
+  std::vector<WireFormat> formats;
+  bool chunks = false;
+  bool ptp = false;
+};
+
 // Padded with spaces to whole 32-bit words, so that every GVCP read of it is aligned.
-std::string genicamXml(std::span<const PixelFormat> formats);
+std::string genicamXml(const Features& features);
 
 }  // namespace lightsketch::gige

@@ -58,6 +58,8 @@ constexpr std::size_t kGvspHeader = 8;
 constexpr std::uint32_t kPacketOverhead = 20 + 8 + kGvspHeader;  // IP, UDP, GVSP
 constexpr std::size_t kCachedFrames = 4;
 constexpr auto kBurstPause = std::chrono::microseconds(500);
+constexpr std::size_t kStampDigits = 16;  // of the index, and again of the checksum
+constexpr auto kPtpLocks = std::chrono::milliseconds(300);  // after it was enabled
 constexpr int kPollMilliseconds = 50;  // how long the destructor may wait for the control thread
 
 std::uint16_t get16(View bytes, std::size_t at) {
@@ -81,6 +83,10 @@ void putDouble(Bytes& bytes, std::size_t at, double value) {
   const auto bits = std::bit_cast<std::uint64_t>(value);
   put32(bytes, at, static_cast<std::uint32_t>(bits >> 32));
   put32(bytes, at + 4, static_cast<std::uint32_t>(bits));
+}
+void append32(Bytes& bytes, std::uint32_t value) {
+  bytes.resize(bytes.size() + 4);
+  put32(bytes, bytes.size() - 4, value);
 }
 void putText(Bytes& bytes, std::size_t at, std::size_t size, std::string_view text) {
   std::copy_n(text.begin(), std::min(text.size(), size - 1),
@@ -125,18 +131,20 @@ struct SentFrame {
   std::uint16_t id = 0;
   std::uint64_t timestamp = 0;
   ExposureRequest request;
-  Bytes image;
+  WireFormat format;
+  Bytes payload;  // the picture as it is sent, then its chunks
+  bool hasChunks = false;
   std::size_t bytesPerPacket = 0;
   sockaddr_in destination{};
 
   std::uint32_t packetCount() const {  // leader, data, trailer
-    return 2 + static_cast<std::uint32_t>((image.size() + bytesPerPacket - 1) / bytesPerPacket);
+    return 2 + static_cast<std::uint32_t>((payload.size() + bytesPerPacket - 1) / bytesPerPacket);
   }
 
   // GVSP packet (GigE Vision 1.2, section 23): status, block id, format and packet id, content.
   void packet(std::uint32_t index, Status status, Bytes& out) const {
     enum : std::uint32_t { kLeader = 1, kTrailer = 2, kData = 3 };
-    constexpr std::uint32_t kImagePayload = 1;
+    const std::uint32_t kImagePayload = hasChunks ? 0x4001 : 1;
     std::uint32_t kind = kData;
     out.assign(kGvspHeader, 0);
     if (status != kSuccess) {
@@ -147,7 +155,7 @@ struct SentFrame {
       put16(out, 10, kImagePayload);
       put32(out, 12, static_cast<std::uint32_t>(timestamp >> 32));
       put32(out, 16, static_cast<std::uint32_t>(timestamp));
-      put32(out, 20, pixelFormatInfo(request.format).pfncCode);
+      put32(out, 20, format.code);
       put32(out, 24, static_cast<std::uint32_t>(request.region.width));
       put32(out, 28, static_cast<std::uint32_t>(request.region.height));
       put32(out, 32, static_cast<std::uint32_t>(request.region.x));
@@ -159,9 +167,9 @@ struct SentFrame {
       put32(out, 12, static_cast<std::uint32_t>(request.region.height));
     } else {
       const std::size_t begin = (index - 1) * bytesPerPacket;
-      const std::size_t end = std::min(begin + bytesPerPacket, image.size());
-      out.insert(out.end(), image.begin() + static_cast<std::ptrdiff_t>(begin),
-                 image.begin() + static_cast<std::ptrdiff_t>(end));
+      const std::size_t end = std::min(begin + bytesPerPacket, payload.size());
+      out.insert(out.end(), payload.begin() + static_cast<std::ptrdiff_t>(begin),
+                 payload.begin() + static_cast<std::ptrdiff_t>(end));
     }
     put16(out, 0, status);
     put16(out, 2, id);
@@ -172,11 +180,52 @@ struct SentFrame {
 // What the frame thread needs to know to expose one frame.
 struct Snapshot {
   ExposureRequest request;
+  WireFormat format;
+  bool chunkMode = false;
+  std::array<bool, gige::kChunkCount> chunks{};
   std::uint16_t id = 0;
   std::uint64_t acquisition = 0;
   std::size_t bytesPerPacket = 0;
   sockaddr_in destination{};
 };
+
+std::uint8_t hexDigit(char digit) {
+  return static_cast<std::uint8_t>(digit <= '9' ? digit - '0' : digit - 'a' + 10);
+}
+std::size_t stampStep(PixelFormat format) { return pixelFormatInfo(format).bits > 8 ? 2 : 1; }
+
+// See stampedIndex.
+void stampFrame(const ExposureRequest& request, Bytes& image) {
+  const std::size_t step = stampStep(request.format);
+  const std::size_t size = 2 * kStampDigits * step;
+  if (image.size() < size) return;
+  const std::string digits =
+      fmt::format("{:016x}", request.index) + checksum(std::as_bytes(View(image).subspan(size)));
+  std::fill_n(image.begin(), size, std::uint8_t{0});
+  for (std::size_t i = 0; i < digits.size(); ++i) image[i * step] = hexDigit(digits[i]);
+}
+
+void appendChunks(const Snapshot& shot, std::uint64_t timestamp, Bytes& payload) {
+  const auto finish = [&](std::uint32_t id, std::size_t length) {
+    append32(payload, id);
+    append32(payload, static_cast<std::uint32_t>(length));
+  };
+  const auto add = [&](bool wanted, std::uint32_t id, std::uint64_t value) {
+    if (!wanted) return;
+    append32(payload, static_cast<std::uint32_t>(value >> 32));
+    append32(payload, static_cast<std::uint32_t>(value));
+    finish(id, 8);
+  };
+  finish(gige::kImageChunk, payload.size());
+  add(shot.chunks[0], gige::kExposureChunk,
+      std::bit_cast<std::uint64_t>(shot.request.exposureSeconds * 1e6));
+  add(shot.chunks[1], gige::kGainChunk, std::bit_cast<std::uint64_t>(shot.request.gainDb));
+  add(shot.chunks[2], gige::kTimestampChunk, timestamp);
+  if (shot.chunks[3]) {
+    append32(payload, crc16(payload));
+    finish(gige::kCrcChunk, 4);
+  }
+}
 
 }  // namespace
 
@@ -185,7 +234,9 @@ struct GigeDevice::State {
       : source(frameSource),
         options(std::move(deviceOptions)),
         startTime(zero),
-        random(options.seed) {}
+        faults(options.faults),
+        random(options.seed),
+        resendRandom(options.seed + 1) {}
 
   Result<void> open();
   void run() {
@@ -212,6 +263,9 @@ struct GigeDevice::State {
   Snapshot snapshot();
   void exposeAndSend(Snapshot shot, TimePoint exposureStart, std::stop_token stop);
   void send(std::shared_ptr<const SentFrame> frame, std::stop_token stop);
+  void sendPacket(const Bytes& packet, const sockaddr_in& to);
+  void damage(const GigeFaults& now, bool leader, Bytes& packet);
+  std::uint32_t payloadSize() const;
 
   std::uint64_t deviceClock(TimePoint time) const;
   sockaddr_in streamDestination() const {
@@ -223,7 +277,7 @@ struct GigeDevice::State {
   FrameSource& source;
   const GigeDeviceOptions options;
   const TimePoint startTime;
-  std::vector<PixelFormat> formats;
+  std::vector<WireFormat> formats;
   std::string xml;
   Socket gvcp;
   Socket gvsp;
@@ -236,12 +290,16 @@ struct GigeDevice::State {
   std::uint64_t acquisition = 0;  // counts starts and stops: a frame of an older one is not sent
   std::optional<Guide> pendingGuide;
   std::optional<RigProgram> pendingProgram;
+  int triggers = 0;  // not answered yet
+  std::optional<TimePoint> ptpSince;
+  GigeFaults faults;
 
   std::mutex cacheMutex;  // Guards cache.
   std::deque<std::shared_ptr<const SentFrame>> cache;
 
   // The frame thread's own.
   std::mt19937 random;
+  std::mt19937 resendRandom;  // the control thread's
   std::uint64_t frameIndex = 0;
   std::uint16_t nextId = 1;
 
@@ -259,7 +317,13 @@ Result<void> GigeDevice::State::open() {
   const std::uint32_t ip = ntohl(parsed.s_addr);
   const auto width = static_cast<std::uint32_t>(source.sensorWidth());
   const auto height = static_cast<std::uint32_t>(source.sensorHeight());
-  formats = source.formats();
+  for (const PixelFormat format : source.formats()) {
+    for (const WireFormat& wire : wireFormatsOf(format)) {
+      if (options.packedFormats || wire.packing == WireFormat::Packing::kNone) {
+        formats.push_back(wire);
+      }
+    }
+  }
   const double exposureUs = options.defaultExposureSeconds * 1e6;
   if (formats.empty() || options.firstFrameId == 0 || options.packetsPerBurst < 1 ||
       options.controlPort < 1 || options.controlPort > 65535) {
@@ -292,7 +356,7 @@ Result<void> GigeDevice::State::open() {
   ::getsockname(gvsp.fd(), reinterpret_cast<sockaddr*>(&streamAddress), &length);
 
   // Bootstrap registers.
-  xml = gige::genicamXml(formats);
+  xml = gige::genicamXml({formats, options.chunks, options.ptp});
   Bytes& r = registers;
   put32(r, gige::kVersion, 0x00010002);
   put32(r, gige::kDeviceMode, 0x80000001);  // big endian, UTF-8
@@ -321,7 +385,7 @@ Result<void> GigeDevice::State::open() {
   put32(r, gige::kHeight, height);
   put32(r, gige::kSensorWidth, width);
   put32(r, gige::kSensorHeight, height);
-  put32(r, gige::kPixelFormat, pixelFormatInfo(formats.front()).pfncCode);
+  put32(r, gige::kPixelFormat, formats.front().code);
   putDouble(r, gige::kExposureTime, exposureUs);
   putDouble(r, gige::kFrameRate, options.defaultFramesPerSecond);
   putDouble(r, gige::kGuideZ, 1);
@@ -336,10 +400,16 @@ Result<void> GigeDevice::State::open() {
   return {};
 }
 
+// Caller holds the mutex.
 std::uint64_t GigeDevice::State::deviceClock(TimePoint time) const {
+  if (ptpSince && time > *ptpSince + kPtpLocks) {  // the grandmaster's, of 2001
+    return static_cast<std::uint64_t>((time.time_since_epoch() + fromSeconds(1e9)).count());
+  }
   const double drift = 1e-6 * options.clockDriftPpm * toSeconds(time - startTime);
   return static_cast<std::uint64_t>(
-      (time.time_since_epoch() + fromSeconds(options.clockOffsetSeconds + drift)).count());
+      (time.time_since_epoch() +
+       fromSeconds(options.clockOffsetSeconds + faults.deviceClockSeconds + drift))
+          .count());
 }
 
 // --- Control -------------------------------------------------------------------------------------
@@ -356,6 +426,7 @@ void GigeDevice::State::controlLoop(std::stop_token stop) {
       if (size > 0) handle(View(buffer).first(static_cast<std::size_t>(size)), from);
     }
     const std::lock_guard lock(mutex);
+    if (ptpSince && Clock::now() > *ptpSince + kPtpLocks) put32(registers, gige::kPtpStatus, 2);
     const auto timeout = std::chrono::milliseconds(get32(registers, gige::kHeartbeatTimeout));
     if (controller && Clock::now() - lastHeartbeat > timeout) releaseControl();
   }
@@ -369,6 +440,10 @@ void GigeDevice::State::handle(View packet, const sockaddr_in& from) {
   const std::size_t size = get16(packet, 4);
   if (size > packet.size() - kGvcpHeader || size > kMaxGvcpPayload) return;
   const View payload = packet.subspan(kGvcpHeader, size);
+  {
+    const std::lock_guard lock(mutex);
+    if (faults.frozen) return;
+  }
   if (command == kPacketResend) return resend(payload, from);
 
   Bytes answer(kGvcpHeader, 0);
@@ -448,10 +523,12 @@ Status GigeDevice::State::write(std::uint32_t address, View value, const sockadd
       kGain + 4,         kFrameRate,        kFrameRate + 4,    kGuideMode,
       kGuideMode + 4,    kGuideX,           kGuideX + 4,       kGuideY,
       kGuideY + 4,       kGuideZ,           kGuideZ + 4,       kRigProgram,
-      kRigProgram + 4};
+      kRigProgram + 4,   kTriggerSoftware,  kChunkSelector};
   static constexpr std::array kWhileStopped = {
-      kWidth,      kHeight,           kOffsetX,           kOffsetY,      kPixelFormat,
-      kStreamPort, kStreamPacketSize, kStreamPacketDelay, kStreamAddress};
+      kWidth,           kHeight,           kOffsetX,           kOffsetY,       kPixelFormat,
+      kStreamPort,      kStreamPacketSize, kStreamPacketDelay, kStreamAddress, kTriggerMode,
+      kTriggerSource,   kPtpEnable,        kChunkMode,         kChunkEnable,   kChunkEnable + 4,
+      kChunkEnable + 8, kChunkEnable + 12};
   if (address % 4 != 0) return kBadAlignment;
   if (controller ? !sameSender(*controller, from) : address != kControlPrivilege) {
     return kAccessDenied;
@@ -492,16 +569,22 @@ bool GigeDevice::State::acceptable(View r) const {
     const double value = getDouble(r, address);
     return value >= min && value <= max;  // false for NaN
   };
-  const auto format = pixelFormatFromCode(get32(r, kPixelFormat));
+  const auto known = [&](const WireFormat& format) {
+    return format.code == get32(r, kPixelFormat);
+  };
   const std::uint32_t packetSize = get32(r, kStreamPacketSize) & 0xffff;
-  return fits(kWidth, kOffsetX, kSensorWidth) && fits(kHeight, kOffsetY, kSensorHeight) && format &&
-         std::find(formats.begin(), formats.end(), *format) != formats.end() &&
+  return fits(kWidth, kOffsetX, kSensorWidth) && fits(kHeight, kOffsetY, kSensorHeight) &&
+         std::any_of(formats.begin(), formats.end(), known) &&
          within(kExposureTime, kMinExposureUs, kMaxExposureUs) && within(kGain, 0, kMaxGainDb) &&
          within(kFrameRate, kMinFrameRate, kMaxFrameRate) && within(kGuideMode, 0, 2) &&
          within(kGuideX, -1, 1) && within(kGuideY, -1, 1) && within(kGuideZ, -1, 1) &&
          within(kRigProgram, 0, kRigProgramCount - 1) && packetSize >= kMinPacketSize &&
          packetSize <= kMaxPacketSize && get32(r, kHeartbeatTimeout) >= 500 &&
-         get32(r, kAcquisition) <= 1 && get32(r, kAcquisitionMode) == 0;
+         get32(r, kAcquisition) <= 1 && get32(r, kAcquisitionMode) == 0 &&
+         get32(r, kTriggerMode) <= 1 && get32(r, kTriggerSource) <= 1 &&
+         get32(r, kPtpEnable) <= (options.ptp ? 1u : 0u) &&
+         get32(r, kChunkMode) <= (options.chunks ? 1u : 0u) &&
+         get32(r, kChunkSelector) < kChunkCount;
 }
 
 // What a write sets off beyond its register.
@@ -532,14 +615,25 @@ void GigeDevice::State::afterWrite(std::uint32_t address, const sockaddr_in& fro
     }
     case kWidth:
     case kHeight:
-    case kPixelFormat: {
-      const auto format = pixelFormatFromCode(get32(registers, kPixelFormat));
-      const auto bytes = static_cast<std::uint32_t>(pixelFormatInfo(*format).bytesPerPixel);
-      put32(registers, kPayloadSize, get32(registers, kWidth) * get32(registers, kHeight) * bytes);
+    case kPixelFormat:
+    case kChunkMode:
+    case kChunkEnable:
+    case kChunkEnable + 4:
+    case kChunkEnable + 8:
+    case kChunkEnable + 12:
+      put32(registers, kPayloadSize, payloadSize());
       break;
-    }
     case kAcquisition:
       ++acquisition;
+      triggers = 0;
+      break;
+    case kTriggerSoftware:
+      if (get32(registers, kTriggerSource) == 0) ++triggers;
+      break;
+    case kPtpEnable:
+      ptpSince.reset();
+      if (get32(registers, kPtpEnable) == 1) ptpSince = Clock::now();
+      put32(registers, kPtpStatus, get32(registers, kPtpEnable));
       break;
     case kGuideMode + 4: {
       const double mode = std::round(getDouble(registers, kGuideMode));
@@ -554,6 +648,19 @@ void GigeDevice::State::afterWrite(std::uint32_t address, const sockaddr_in& fro
     default:
       break;
   }
+}
+
+std::uint32_t GigeDevice::State::payloadSize() const {
+  using namespace gige;
+  const WireFormat format = *wireFormatFromCode(get32(registers, kPixelFormat));
+  auto size = static_cast<std::uint32_t>(
+      format.bytes(std::size_t{get32(registers, kWidth)} * get32(registers, kHeight)));
+  if (get32(registers, kChunkMode) == 0) return size;
+  size += 8;
+  for (std::uint32_t i = 0; i < kChunkCount; ++i) {
+    if (get32(registers, kChunkEnable + 4 * i) != 0) size += 8 + (i + 1 == kChunkCount ? 4 : 8);
+  }
+  return size;
 }
 
 void GigeDevice::State::releaseControl() {
@@ -573,6 +680,11 @@ void GigeDevice::State::resend(View payload, const sockaddr_in& from) {
     const std::lock_guard lock(mutex);
     if (!controller || !sameHost(*controller, from)) return;
   }
+  GigeFaults now;
+  {
+    const std::lock_guard lock(mutex);
+    now = faults;
+  }
   const std::uint16_t id = get16(payload, 2);
   const std::uint32_t first = get32(payload, 4) & 0xffffff;
   const std::uint32_t last = get32(payload, 8) & 0xffffff;
@@ -581,7 +693,7 @@ void GigeDevice::State::resend(View payload, const sockaddr_in& from) {
     const std::lock_guard lock(cacheMutex);
     const auto found = std::find_if(cache.begin(), cache.end(),
                                     [id](const auto& cached) { return cached->id == id; });
-    if (found != cache.end()) frame = *found;
+    if (found != cache.end() && now.resend) frame = *found;
   }
   Bytes packet;
   if (!frame) {
@@ -591,9 +703,11 @@ void GigeDevice::State::resend(View payload, const sockaddr_in& from) {
     const std::lock_guard lock(mutex);
     return sendTo(gvsp, packet, streamDestination());
   }
+  std::bernoulli_distribution lost(now.resendLoss);
   for (std::uint32_t i = first; i <= last && i < frame->packetCount(); ++i) {
+    if (lost(resendRandom)) continue;
     frame->packet(i, kSuccess, packet);
-    sendTo(gvsp, packet, frame->destination);
+    sendPacket(packet, frame->destination);
   }
 }
 
@@ -604,6 +718,7 @@ void GigeDevice::State::frameLoop(std::stop_token stop) {
   TimePoint next;
   std::unique_lock lock(mutex);
   const auto told = [&] { return pendingGuide || pendingProgram; };
+  const auto waitsForTrigger = [&] { return get32(registers, gige::kTriggerMode) == 1; };
   while (changed.wait(lock, stop, [&] { return told() || streaming(); })) {
     if (pendingProgram) {
       const RigProgram program = *std::exchange(pendingProgram, std::nullopt);
@@ -624,7 +739,13 @@ void GigeDevice::State::frameLoop(std::stop_token stop) {
       next = Clock::now();
       nextId = options.firstFrameId;
     }
-    if (changed.wait_until(lock, stop, next, [&] { return told() || acquisition != current; })) {
+    const auto interrupted = [&] { return told() || acquisition != current; };
+    if (waitsForTrigger()) {
+      changed.wait(lock, stop, [&] { return interrupted() || triggers > 0; });
+      if (interrupted()) continue;
+      if (stop.stop_requested()) return;
+      --triggers;
+    } else if (changed.wait_until(lock, stop, next, interrupted)) {
       continue;
     }
     if (stop.stop_requested()) return;
@@ -649,7 +770,12 @@ Snapshot GigeDevice::State::snapshot() {
   };
   Snapshot shot;
   shot.request.index = frameIndex++;
-  shot.request.format = *pixelFormatFromCode(get32(registers, kPixelFormat));
+  shot.format = *wireFormatFromCode(get32(registers, kPixelFormat));
+  shot.request.format = shot.format.format;
+  shot.chunkMode = get32(registers, kChunkMode) == 1;
+  for (std::uint32_t i = 0; i < kChunkCount; ++i) {
+    shot.chunks[i] = shot.chunkMode && get32(registers, kChunkEnable + 4 * i) == 1;
+  }
   shot.request.region = {number(kOffsetX), number(kOffsetY), number(kWidth), number(kHeight)};
   shot.request.exposureSeconds = 1e-6 * getDouble(registers, kExposureTime);
   shot.request.gainDb = getDouble(registers, kGain);
@@ -667,17 +793,29 @@ void GigeDevice::State::exposeAndSend(Snapshot shot, TimePoint exposureStart,
   shot.request.timeSeconds = toSeconds(exposureStart - startTime) + exposure / 2;
   const auto frame = std::make_shared<SentFrame>();
   frame->id = shot.id;
-  frame->timestamp = deviceClock(exposureStart);
+  {
+    const std::lock_guard lock(mutex);
+    frame->timestamp =
+        faults.zeroTimestamps
+            ? 0
+            : deviceClock(exposureStart) +
+                  static_cast<std::uint64_t>(fromSeconds(faults.frameClockSeconds).count());
+  }
   frame->request = shot.request;
+  frame->format = shot.format;
   frame->bytesPerPacket = shot.bytesPerPacket;
   frame->destination = shot.destination;
-  const std::size_t size =
-      static_cast<std::size_t>(shot.request.region.width) *
-      static_cast<std::size_t>(shot.request.region.height) *
-      static_cast<std::size_t>(pixelFormatInfo(shot.request.format).bytesPerPixel);
-  frame->image.assign(size, 0);
-  source.expose(shot.request, frame->image);
-  frame->image.resize(size);
+  const std::size_t pixels = static_cast<std::size_t>(shot.request.region.width) *
+                             static_cast<std::size_t>(shot.request.region.height);
+  Bytes image(pixels *
+              static_cast<std::size_t>(pixelFormatInfo(shot.request.format).bytesPerPixel));
+  const std::size_t size = image.size();
+  source.expose(shot.request, image);
+  image.resize(size);
+  if (options.stamp) stampFrame(shot.request, image);
+  frame->payload = packPixels(shot.format, image);
+  frame->hasChunks = shot.chunkMode;
+  if (shot.chunkMode) appendChunks(shot, frame->timestamp, frame->payload);
 
   // No camera sends before its exposure is over, nor after it was told to stop.
   {
@@ -689,25 +827,81 @@ void GigeDevice::State::exposeAndSend(Snapshot shot, TimePoint exposureStart,
   send(frame, stop);
 }
 
+void GigeDevice::State::sendPacket(const Bytes& packet, const sockaddr_in& to) {
+  if (!options.link || options.link->pass(packet.size() + kPacketOverhead)) {
+    sendTo(gvsp, packet, to);
+  }
+}
+
+void GigeDevice::State::damage(const GigeFaults& now, bool leader, Bytes& packet) {
+  const auto below = [&](std::size_t end) { return static_cast<std::size_t>(random() % end); };
+  const auto chosen = [&](double chance) {
+    return chance > 0 && std::bernoulli_distribution(chance)(random);
+  };
+  const auto flip = [&](std::size_t byte) {
+    packet[byte] ^= static_cast<std::uint8_t>(1u << below(8));
+  };
+  if (chosen(now.corruptedHeader)) {
+    // The leader's time of exposure is bytes 12 to 19.
+    const std::size_t byte = below(leader ? kGvspHeader + 28 : kGvspHeader);
+    flip(byte < 12 ? byte : byte + 8);
+  }
+  if (chosen(now.corruptedPayload) && !leader && packet.size() > kGvspHeader + 8) {
+    flip(kGvspHeader + below(packet.size() - kGvspHeader));
+  }
+  if (chosen(now.corruptedLength)) packet.resize(8 + below(2 * packet.size()), 0xa5);
+}
+
 void GigeDevice::State::send(std::shared_ptr<const SentFrame> frame, std::stop_token stop) {
   {
     const std::lock_guard lock(cacheMutex);
     cache.push_back(frame);
     if (cache.size() > kCachedFrames) cache.pop_front();
   }
-  std::uniform_real_distribution<double> chance(0, 1);
+  GigeFaults now;
+  {
+    const std::lock_guard lock(mutex);
+    now = faults;
+  }
+  if (now.frozen || now.silent) return;
+  const auto chosen = [&](double chance) {
+    return chance > 0 && std::bernoulli_distribution(chance)(random);
+  };
+  const auto below = [&](std::uint32_t end) { return static_cast<std::uint32_t>(random() % end); };
+  const std::uint32_t count = frame->packetCount();
+  const std::uint32_t stallsAt = chosen(now.stalled) ? below(count) : count;
+  std::vector<std::pair<std::uint32_t, Bytes>> late;  // and after which packet
+  const auto sendLate = [&](std::uint32_t sentUpTo) {
+    std::erase_if(late, [&](const auto& waiting) {
+      if (waiting.first > sentUpTo) return false;
+      sendPacket(waiting.second, frame->destination);
+      return true;
+    });
+  };
   Bytes packet;
   TimePoint due = Clock::now();
-  for (std::uint32_t i = 0; i < frame->packetCount() && !stop.stop_requested(); ++i) {
+  for (std::uint32_t i = 0; i < count && !stop.stop_requested(); ++i) {
     if (i > 0 && i % static_cast<std::uint32_t>(options.packetsPerBurst) == 0) {
       // Oversleeping is made up for, but never by more than one burst at once.
       due = std::max(due + kBurstPause, Clock::now() - kBurstPause);
       std::this_thread::sleep_until(due);
     }
-    if (options.packetLoss > 0 && chance(random) < options.packetLoss) continue;
+    if (i == stallsAt) {
+      std::unique_lock lock(mutex);
+      changed.wait_for(lock, stop, fromSeconds(now.stallSeconds), [] { return false; });
+    }
+    if (chosen(now.loss)) continue;
     frame->packet(i, kSuccess, packet);
-    sendTo(gvsp, packet, frame->destination);
+    damage(now, i == 0, packet);
+    if (chosen(now.duplicated)) sendPacket(packet, frame->destination);
+    if (chosen(now.reordered)) {
+      late.emplace_back(i + 1 + below(8), packet);
+    } else {
+      sendPacket(packet, frame->destination);
+    }
+    sendLate(i);
   }
+  sendLate(count + 8);
   ++sent;
 }
 
@@ -726,5 +920,63 @@ GigeDevice::GigeDevice(std::unique_ptr<State> state) : state_(std::move(state)) 
 GigeDevice::~GigeDevice() = default;
 
 std::uint64_t GigeDevice::framesSent() const { return state_->sent; }
+
+void GigeDevice::setFaults(const GigeFaults& faults) {
+  const std::lock_guard lock(state_->mutex);
+  state_->faults = faults;
+}
+
+void GigeDevice::pulse() {
+  {
+    const std::lock_guard lock(state_->mutex);
+    if (get32(state_->registers, gige::kTriggerSource) == 1) ++state_->triggers;
+  }
+  state_->changed.notify_all();
+}
+
+bool SlowLink::pass(std::size_t bytes) {
+  const std::lock_guard lock(mutex_);
+  const TimePoint now = Clock::now();
+  queued_ = std::max(0.0, queued_ - bytesPerSecond_ * toSeconds(now - since_));
+  since_ = now;
+  const auto size = static_cast<double>(bytes);
+  if (queued_ + size > queueBytes_) return false;
+  queued_ += size;
+  return true;
+}
+
+std::optional<std::uint64_t> stampedIndex(std::span<const std::uint8_t> bytes, PixelFormat format) {
+  const std::size_t step = stampStep(format);
+  if (bytes.size() < 2 * kStampDigits * step) return std::nullopt;
+  const std::string expected = checksum(std::as_bytes(bytes.subspan(2 * kStampDigits * step)));
+  std::uint64_t index = 0;
+  for (std::size_t i = 0; i < 2 * kStampDigits; ++i) {
+    const std::uint8_t digit = bytes[i * step];
+    if (digit > 15 || (step == 2 && bytes[i * step + 1] != 0)) return std::nullopt;
+    if (i < kStampDigits) {
+      index = index << 4 | digit;
+    } else if (digit != hexDigit(expected[i - kStampDigits])) {
+      return std::nullopt;
+    }
+  }
+  return index;
+}
+
+std::uint16_t crc16(View bytes) {
+  static const auto table = [] {
+    std::array<std::uint16_t, 256> values{};
+    for (unsigned i = 0; i < values.size(); ++i) {
+      unsigned crc = i << 8;
+      for (int bit = 0; bit < 8; ++bit) crc = crc << 1 ^ ((crc & 0x8000) != 0 ? 0x1021u : 0u);
+      values[i] = static_cast<std::uint16_t>(crc);
+    }
+    return values;
+  }();
+  std::uint16_t crc = 0;
+  for (const std::uint8_t byte : bytes) {
+    crc = static_cast<std::uint16_t>(crc << 8 ^ table[static_cast<std::size_t>(crc >> 8 ^ byte)]);
+  }
+  return crc;
+}
 
 }  // namespace lightsketch

@@ -6,6 +6,9 @@
 #include <cstdint>
 #include <functional>
 #include <memory>
+#include <mutex>
+#include <optional>
+#include <span>
 #include <string>
 #include <vector>
 
@@ -48,6 +51,44 @@ class FrameSource {
   virtual void startProgram(RigProgram) {}
 };
 
+// A network that several cameras share: what its queue has no room for is lost.
+class SlowLink {
+ public:
+  SlowLink(double bytesPerSecond, double queueBytes)
+      : bytesPerSecond_(bytesPerSecond), queueBytes_(queueBytes) {}
+  // Whether a packet gets through. Thread-safe.
+  bool pass(std::size_t bytes);
+
+ private:
+  const double bytesPerSecond_;
+  const double queueBytes_;
+  std::mutex mutex_;  // Guards the following.
+  double queued_ = 0;
+  TimePoint since_ = Clock::now();
+};
+
+// What goes wrong with a camera and on its wire. Probabilities are of packets where nothing else is
+// said, drawn from the device's seed. Payload carries no checksum in GVSP, headers neither; UDP's
+// protects both on a real wire, so what is damaged here is what a camera itself gets wrong.
+struct GigeFaults {
+  double loss = 0;              // not sent at first
+  double resendLoss = 0;        // not sent again either
+  bool resend = true;           // false: what is asked for again is refused as unavailable
+  double duplicated = 0;        // sent twice
+  double reordered = 0;         // sent after up to eight others
+  double corruptedHeader = 0;   // one bit of the GVSP header or of the leader flipped, but none of
+                                // the time of exposure
+  double corruptedLength = 0;   // cut short, or longer
+  double corruptedPayload = 0;  // one bit of the picture flipped
+  double stalled = 0;           // of frames: nothing is sent for stallSeconds in their middle
+  double stallSeconds = 0;
+  bool frozen = false;  // neither answers nor sends
+  bool silent = false;  // answers, but sends no frames
+  bool zeroTimestamps = false;
+  double frameClockSeconds = 0;   // the frames' time is of another epoch than the latched clock
+  double deviceClockSeconds = 0;  // the clock has been set, latch and frames alike
+};
+
 struct GigeDeviceOptions {
   std::string address = "127.0.0.11";
   int controlPort = 3956;  // GVCP; Aravis only talks to 3956
@@ -61,14 +102,21 @@ struct GigeDeviceOptions {
   std::uint16_t firstFrameId = 1;  // of every acquisition; ids are 16 bits wide and wrap 65535 -> 1
   int packetsPerBurst = 24;        // pacing: this many packets, then a pause of 0.5 ms, so that a
                                    // default socket buffer (208 KiB) keeps up
-  double packetLoss = 0;           // fraction of packets not sent at first; resends are honoured
+  GigeFaults faults;               // at first; setFaults changes them
+  std::shared_ptr<SlowLink> link;  // null: a link of one's own, fast enough
   std::uint32_t seed = 1;
   RigProgram program = RigProgram::kLamp;  // what "RigProgram" says at first
+  bool packedFormats = false;              // offers the packed kinds of the source's formats, too
+  bool chunks = false;                     // exposure, gain, time and CRC with every frame
+  bool ptp = false;                        // a clock that can follow others'
+  bool stamp = false;                      // frames begin with a stamp, see stampedIndex
 };
 
 // Runs on threads of its own from start() to destruction: one answers GVCP, one exposes and sends,
 // so that a slow expose() never delays an answer. Stops streaming when the controller's heartbeat
 // stops. Registers out of range are refused, format and region while streaming too.
+//
+// Triggers are Software and Line1, an edge of which is pulse().
 class GigeDevice {
  public:
   // `source` must outlive the device. `startTime` is the rig's time zero. Fails if the address is
@@ -78,11 +126,21 @@ class GigeDevice {
                                                    TimePoint startTime);
   ~GigeDevice();
   std::uint64_t framesSent() const;
+  void setFaults(const GigeFaults& faults);
+  void pulse();
 
  private:
   struct State;
   explicit GigeDevice(std::unique_ptr<State> state);
   std::unique_ptr<State> state_;
 };
+
+// Which frame of its camera (ExposureRequest::index) a stamped frame is; nothing if one bit of it
+// is not as it was sent. The stamp takes the first 32 samples: index and checksum of the rest, four
+// bits each.
+std::optional<std::uint64_t> stampedIndex(std::span<const std::uint8_t> bytes, PixelFormat format);
+
+// Basler's PayloadCRC16: CRC-16/XMODEM (polynomial 0x1021, initially 0).
+std::uint16_t crc16(std::span<const std::uint8_t> bytes);
 
 }  // namespace lightsketch

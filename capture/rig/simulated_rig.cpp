@@ -212,7 +212,7 @@ Result<void> SimulatedRig::State::serve(FrameSource& view, GigeDeviceOptions dev
         view, [this](RigProgram program) { play.programs.start(program, now()); }));
   }
   device.defaultFramesPerSecond = options.framesPerSecond;
-  device.packetLoss = options.packetLoss;
+  device.faults.loss = options.packetLoss;
   // As a gigabit line carries them; exposure and transfer have to fit into the frame interval.
   if (options.framesPerSecond > 20) device.packetsPerBurst = 40;
   device.program = options.program;

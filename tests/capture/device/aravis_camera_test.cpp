@@ -187,7 +187,7 @@ TEST(AravisCamera, TwoCamerasAtOnceLoseNothing) {
 
 TEST(AravisCamera, LostPacketsAreSentAgain) {
   GigeDeviceOptions options = at(kScene);
-  options.packetLoss = 0.01;
+  options.faults.loss = 0.01;
   Rig rig(options);
   const auto camera = open(kScene);
   ASSERT_TRUE(camera);
