@@ -8,6 +8,7 @@
 #include "capture/device/aravis_camera.h"
 #include "capture/device/gvcp_probe.h"
 #include "capture/device/replay_camera.h"
+#include "capture/device/v4l2_camera.h"
 
 namespace lightsketch {
 namespace {
@@ -43,6 +44,7 @@ Result<std::vector<CameraInfo>> listCameras() {
     });
     if (!known) cameras.push_back(std::move(camera));
   }
+  for (CameraInfo& camera : listV4l2Cameras()) cameras.push_back(std::move(camera));
   std::sort(cameras.begin(), cameras.end(),
             [](const CameraInfo& a, const CameraInfo& b) { return a.address < b.address; });
   return cameras;
@@ -52,13 +54,15 @@ Result<std::unique_ptr<Camera>> openCamera(const std::string& address) {
   const std::size_t colon = address.find(':');
   const std::string scheme = address.substr(0, colon);
   const std::string target = colon == std::string::npos ? "" : address.substr(colon + 1);
-  if (target.empty() || (scheme != "aravis" && scheme != "replay")) {
+  if (target.empty() || (scheme != "aravis" && scheme != "v4l2" && scheme != "replay")) {
     return failure(ErrorCode::kInvalidArgument,
-                   "'{}' names no camera: expected aravis:ADDRESS or replay:FOLDER", address);
+                   "'{}' names no camera: expected aravis:ADDRESS, v4l2:/dev/video0 or "
+                   "replay:FOLDER",
+                   address);
   }
   if (scheme == "replay") return openReplay(target);
 
-  auto camera = openAravisCamera(target);
+  auto camera = scheme == "v4l2" ? openV4l2Camera(target) : openAravisCamera(target);
   if (!camera && camera.error().code == ErrorCode::kNotFound) {
     std::string connected;
     ASSIGN_OR_RETURN(const auto cameras, listCameras());

@@ -1,5 +1,6 @@
 // A camera, whatever it is connected by. Addresses:
 //   aravis:127.0.0.11       a GigE Vision camera by its IPv4 address, or any name Aravis knows
+//   v4l2:/dev/video0        a camera that the kernel drives; ?format=MJPG: in that format only
 //   replay:FOLDER           a stream kept by ReplayWriter, at the speed it was recorded
 //   replay:FOLDER?rate=2    twice as fast; rate=0: as fast as the callback returns
 #pragma once
