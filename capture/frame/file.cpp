@@ -15,6 +15,8 @@
 #include <utility>
 #include <vector>
 
+#include "capture/frame/descriptor.h"
+
 namespace lightsketch {
 namespace {
 
@@ -33,24 +35,12 @@ fs::path folderOf(const fs::path& path) {
   return path.has_parent_path() ? path.parent_path() : fs::path(".");
 }
 
-class Descriptor {
- public:
-  Descriptor(const fs::path& path, int flags, mode_t mode = 0644)
-      : fd_(::open(path.c_str(), flags | O_CLOEXEC, mode)) {}
-  ~Descriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  explicit operator bool() const { return fd_ >= 0; }
-  int get() const { return fd_; }
-
- private:
-  int fd_;
-};
+Descriptor opened(const fs::path& path, int flags, mode_t mode = 0644) {
+  return Descriptor(::open(path.c_str(), flags | O_CLOEXEC, mode));
+}
 
 Result<void> syncPath(const fs::path& path) {
-  const Descriptor file(path, O_RDONLY);
+  const Descriptor file = opened(path, O_RDONLY);
   if (!file || ::fsync(file.get()) != 0) return systemFailure(errno, "sync", path);
   return {};
 }
@@ -72,7 +62,7 @@ std::string systemMessage(int errorNumber) {
 }
 
 Result<std::string> readFile(const fs::path& path, std::uint64_t maxBytes) {
-  const Descriptor file(path, O_RDONLY);
+  const Descriptor file = opened(path, O_RDONLY);
   if (!file) return systemFailure(errno, "open", path);
   struct stat status {};
   if (::fstat(file.get(), &status) != 0) return systemFailure(errno, "read", path);
@@ -100,7 +90,7 @@ Result<std::string> readFile(const fs::path& path, std::uint64_t maxBytes) {
 Result<void> writeFileAtomically(const fs::path& path, std::string_view content) {
   PendingFile pending(path);
   {
-    const Descriptor file(pending.path(), O_WRONLY | O_CREAT | O_TRUNC);
+    const Descriptor file = opened(pending.path(), O_WRONLY | O_CREAT | O_TRUNC);
     if (!file) return systemFailure(errno, "write", path);
     while (!content.empty()) {
       const ssize_t count = ::write(file.get(), content.data(), content.size());
@@ -188,7 +178,7 @@ std::string checksum(std::string_view bytes) {
 }
 
 Result<std::string> checksumOfFile(const fs::path& path) {
-  const Descriptor file(path, O_RDONLY);
+  const Descriptor file = opened(path, O_RDONLY);
   if (!file) return systemFailure(errno, "open", path);
   const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(XXH3_createState(),
                                                                        &XXH3_freeState);

@@ -1,4 +1,5 @@
 #include "capture/rig/fisheye_lens.h"
+#include "capture/frame/direction.h"
 
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
@@ -18,10 +19,6 @@ using Eigen::Vector3d;
 Vector3d directionAt(double theta, double azimuth) {
   return {std::sin(theta) * std::cos(azimuth), std::sin(theta) * std::sin(azimuth),
           std::cos(theta)};
-}
-
-double angleBetween(const Vector3d& a, const Vector3d& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b));
 }
 
 using Unknowns = Eigen::Matrix<double, 10, 1>;
@@ -82,7 +79,7 @@ Vector3d FisheyeLens::unprojectUnbounded(const Vector2d& pixel) const {
 
 std::optional<Vector3d> FisheyeLens::unproject(const Vector2d& pixel) const {
   const Vector3d direction = unprojectUnbounded(pixel);
-  if (angleBetween(direction, Vector3d::UnitZ()) > kMaxFieldAngle.radians()) return std::nullopt;
+  if (angleBetween(direction, Vector3d::UnitZ()) > kMaxFieldAngle) return std::nullopt;
   return direction;
 }
 
@@ -140,7 +137,7 @@ Result<LensFit> fitKannalaBrandt(const FisheyeLens& lens) {
   for (std::size_t i = 0; i < directions.size(); ++i) {
     // The rim's pixels may lie a hair outside the model's field; there is nothing to compare there.
     const auto seen = fit.model->unproject(pixels[i]);
-    if (seen) worst = std::max(worst, angleBetween(*seen, directions[i]));
+    if (seen) worst = std::max(worst, angleBetween(*seen, directions[i]).radians());
   }
   fit.maxError = Angle::radians(worst);
   return fit;

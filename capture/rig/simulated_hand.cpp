@@ -1,4 +1,5 @@
 #include "capture/rig/simulated_hand.h"
+#include "capture/frame/direction.h"
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -78,10 +79,6 @@ class Tremor {
   double beforeLast_ = 0;
 };
 
-double angleBetween(const Vector3d& a, const Vector3d& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b));
-}
-
 // What was shown, and when the person acts on it.
 struct Perceived {
   double timeSeconds;
@@ -120,7 +117,8 @@ struct SimulatedHand::State {
       // A target below the table top is out of reach: the nearest place just above it.
       Vector3d wanted = guide.target.normalized();
       wanted.z() = std::max(wanted.z(), 0.01);
-      if (!(mode == Guide::Mode::kFollow) || angleBetween(wanted, target) > 1e-6) arrived = false;
+      if (!(mode == Guide::Mode::kFollow) || angleBetween(wanted, target).radians() > 1e-6)
+        arrived = false;
       target = wanted.normalized();
     } else if (guide.mode == Guide::Mode::kWander && mode != Guide::Mode::kWander) {
       chooseWaypoint();
@@ -148,7 +146,7 @@ struct SimulatedHand::State {
       const double azimuth = uniform(0, 2 * std::numbers::pi);
       const double r = std::sqrt(1 - z * z);
       target = Vector3d(r * std::cos(azimuth), r * std::sin(azimuth), z);
-      const double angle = angleBetween(target, direction);
+      const double angle = angleBetween(target, direction).radians();
       if (angle > 20 * kDegree && angle < 80 * kDegree) break;
     }
   }
@@ -158,7 +156,7 @@ struct SimulatedHand::State {
     if (mode == Guide::Mode::kLampOff || t < pauseUntil) return Vector3d::Zero();
     const bool away = t < leaveUntil;
     const Vector3d aim = away ? Vector3d(direction.x(), direction.y(), -0.35).normalized() : target;
-    const double distance = angleBetween(direction, aim);
+    const double distance = angleBetween(direction, aim).radians();
     Vector3d toAim = aim - aim.dot(direction) * direction;
     toAim = toAim.norm() > 1e-9 ? toAim.normalized() : Vector3d(Vector3d::Zero());
     if (away) return std::min(kPeakSpeed, 4 * distance) * toAim;

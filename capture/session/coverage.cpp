@@ -1,4 +1,5 @@
 #include "capture/session/coverage.h"
+#include "capture/frame/direction.h"
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -16,10 +17,6 @@ constexpr double kNeighbourReach = 1.4;
 constexpr double kPerOpenNeighbour = 0.35;
 constexpr double kPerTurn = 0.4;  // for turning back
 constexpr double kPerPostponement = 6;
-
-double angleBetween(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b));
-}
 
 }  // namespace
 
@@ -82,7 +79,7 @@ std::optional<int> Coverage::next(const Eigen::Vector3d& here, const Eigen::Vect
     if (!open(cell)) continue;
     const auto i = static_cast<std::size_t>(cell);
     const Eigen::Vector3d& there = grid_.directions()[i];
-    double cost = angleBetween(here, there) / spacing + kPerPostponement * postponed_[i];
+    double cost = angleBetween(here, there).radians() / spacing + kPerPostponement * postponed_[i];
     if (cost >= least) continue;
     // A cell with few open neighbours would be left behind as an island.
     for (const int n : neighbours_[i]) cost += open(n) ? kPerOpenNeighbour : 0;

@@ -1,4 +1,5 @@
 #include "capture/session/guide.h"
+#include "capture/frame/direction.h"
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -24,10 +25,6 @@ constexpr double kHoldSeconds = 5;
 constexpr double kUnhurried = Angle::degrees(20).radians();  // a second
 constexpr std::chrono::milliseconds kBetweenWrites{100};
 
-double angleBetween(const Vector3d& a, const Vector3d& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b));
-}
-
 }  // namespace
 
 GuidePlan::GuidePlan(bool hold) : hold_(hold), leadSeconds_(kFirstLeadSeconds) {}
@@ -42,8 +39,8 @@ void GuidePlan::choose(const Coverage& coverage, double seconds, const Vector3d&
   targetSince_ = seconds;
   if (target_) {
     const Vector3d& aim = coverage.grid().directions()[static_cast<std::size_t>(*target_)];
-    allowedSeconds_ =
-        kPatienceSeconds + angleBetween(lastSeen_, aim) / kUnhurried + (hold_ ? kHoldSeconds : 0);
+    allowedSeconds_ = kPatienceSeconds + angleBetween(lastSeen_, aim).radians() / kUnhurried +
+                      (hold_ ? kHoldSeconds : 0);
   }
 }
 
@@ -85,7 +82,7 @@ void GuidePlan::follow(const Coverage& coverage, double seconds, const Vector3d&
   const Vector3d& aim = coverage.grid().directions()[static_cast<std::size_t>(*target_)];
   const Vector3d way = aim - lamp;
   const double closing = way.norm() > 0 ? velocity.dot(way.normalized()) : velocity.norm();
-  if (!hold_ && closing > 0 && angleBetween(lamp, aim) < leadSeconds_ * closing) {
+  if (!hold_ && closing > 0 && angleBetween(lamp, aim).radians() < leadSeconds_ * closing) {
     passing_.push_back({*target_, seconds + kMissedAfterSeconds});
     choose(coverage, seconds, aim, way);
   } else if (seconds - targetSince_ > allowedSeconds_) {

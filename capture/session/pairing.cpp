@@ -1,4 +1,5 @@
 #include "capture/session/pairing.h"
+#include "capture/frame/direction.h"
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -21,12 +22,8 @@ constexpr double kTremorRadians = Angle::degrees(0.1).radians();
 constexpr double kTremorRadiansPerSecond = 2 * std::numbers::pi * 10 * kTremorRadians;
 constexpr double kSameLight = 1e-4;  // rays that miss each other so improbably are of two lights
 
-double angleBetween(const Vector3d& a, const Vector3d& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b));
-}
-
 Vector3d slerp(const Vector3d& a, const Vector3d& b, double f) {
-  const double angle = angleBetween(a, b);
+  const double angle = angleBetween(a, b).radians();
   if (angle < 1e-9) return a;
   return ((std::sin((1 - f) * angle) * a + std::sin(f * angle) * b) / std::sin(angle)).normalized();
 }
@@ -80,7 +77,7 @@ tl::expected<PairedLamp, PairingFailure> ObservationHistory::at(TimePoint time,
   const LampObservation& b = *after->observation;
   const double span = paired.secondsToBefore + paired.secondsToAfter;
   const double f = paired.secondsToBefore / span;
-  paired.radiansPerSecond = angleBetween(a.directionInSource, b.directionInSource) / span;
+  paired.radiansPerSecond = angleBetween(a.directionInSource, b.directionInSource).radians() / span;
 
   LampObservation& lamp = paired.lamp;
   lamp.time = time;

@@ -10,6 +10,7 @@
 #include <set>
 #include <vector>
 
+#include "capture/frame/direction.h"
 #include "capture/tracker/background.h"
 #include "capture/tracker/blob.h"
 
@@ -130,10 +131,6 @@ struct Track {
   bool reflection = false;
   int candidate = -1;  // in this frame
 };
-
-double angleBetween(const Vector3d& a, const Vector3d& b) {
-  return std::atan2(a.cross(b).norm(), a.dot(b));
-}
 
 double roundnessOf(const Matrix2d& moments) {
   const Eigen::SelfAdjointEigenSolver<Matrix2d> solver(moments, Eigen::EigenvaluesOnly);
@@ -279,7 +276,7 @@ void LampTracker::State::associate(const std::vector<Candidate>& candidates, Tim
                        : 0.3 * track.velocity.norm() * dt + 0.5 * kGateAcceleration * dt * dt;
     const double gate = std::min(kGateSlack.radians() + unknown, kWidestGate.radians());
     for (std::size_t c = 0; c < candidates.size(); ++c) {
-      const double distance = angleBetween(predicted, candidates[c].direction);
+      const double distance = angleBetween(predicted, candidates[c].direction).radians();
       const double change = std::abs(candidates[c].logFlux - track.logFlux);
       if (distance < gate && change < 1.5) {
         pairs.push_back({distance / gate + change, t, static_cast<int>(c)});
@@ -304,7 +301,8 @@ void LampTracker::State::associate(const std::vector<Candidate>& candidates, Tim
     track.time = time;
     track.hits += 1;
     track.proven += 1;
-    track.travelled = std::max(track.travelled, angleBetween(track.birth, seen.direction));
+    track.travelled =
+        std::max(track.travelled, angleBetween(track.birth, seen.direction).radians());
     track.travelledPixels =
         std::max(track.travelledPixels, (track.birthPixel - seen.blob.pixel).norm());
   }
@@ -368,7 +366,7 @@ std::string LampTracker::State::objection(const Track& track, const Candidate& c
 bool LampTracker::State::resumes(const Track& track, const Candidate& candidate) {
   const Track* last = find(lamp);
   return last != nullptr && toSeconds(track.time - last->time) < kResumeSeconds &&
-         angleBetween(last->direction, candidate.direction) < kResumeAngle.radians() &&
+         angleBetween(last->direction, candidate.direction) < kResumeAngle &&
          std::abs(residualOf(candidate) - last->residual) < kResumeTolerance &&
          std::abs(candidate.logHalo - halo.predict(candidate.direction)) < kResumeTolerance &&
          !nearMirror(candidate.blob.pixel);
@@ -509,7 +507,7 @@ TrackResult LampTracker::State::judge(const std::vector<Candidate>& candidates,
   for (Track& other : tracks) {
     if (&other == track || other.candidate < 0) continue;
     const Candidate& rival = candidates[static_cast<std::size_t>(other.candidate)];
-    const double apart = angleBetween(rival.direction, candidate.direction);
+    const double apart = angleBetween(rival.direction, candidate.direction).radians();
     const bool similar = rival.strength() > candidate.strength() - 2 * kClearlyStronger;
     if (similar && !other.reflection && apart < Angle::degrees(8).radians()) {
       return none(TrackState::kAmbiguous, "a reflection close to the lamp");

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "capture/frame/hash64.h"
 #include "pipeline/compress/kernels.h"
 #include "pipeline/compress/lapack.h"
 
@@ -66,11 +67,7 @@ bool applyTransposed(const LargeMatrix& L, const RowMajorMatrixf& Y, RowMajorMat
 }
 
 RowMajorMatrixf product(const RowMajorMatrixf& A, const MatrixXd& B) {
-  const RowMajorMatrixf right = B.cast<float>();
-  RowMajorMatrixf C(A.rows(), B.cols());
-  multiply(MatrixView(A), MatrixView(right), C.data(), static_cast<std::size_t>(C.cols()),
-           Cores::kAll);
-  return C;
+  return product(MatrixView(A), MatrixView(RowMajorMatrixf(B.cast<float>())), Cores::kAll);
 }
 
 // Gram matrix of the rows (or columns) of a matrix, lower triangle, in double.
@@ -151,15 +148,11 @@ bool sketchRows(const LargeMatrix& L, Index width, RowMajorMatrixf& sketch, Prog
       const Index at = part * kColumns;
       const Index columns = std::min(kColumns, L.cols() - at);
       for (Index row = first; row < first + count; ++row) {
-        std::uint64_t z =
-            (static_cast<std::uint64_t>(row) + 1) * 0x9E3779B97F4A7C15u;  // splitmix64
-        z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
-        z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
-        z ^= z >> 31;
-        auto target = sums.row(static_cast<Index>((z >> 1) % static_cast<std::uint64_t>(width)))
+        const std::uint64_t hash = hash64(static_cast<std::uint64_t>(row));
+        auto target = sums.row(static_cast<Index>((hash >> 1) % static_cast<std::uint64_t>(width)))
                           .segment(at, columns);
         const auto source = L.matrix().row(row).segment(at, columns);
-        if (z & 1) {
+        if (hash & 1) {
           target += source;
         } else {
           target -= source;

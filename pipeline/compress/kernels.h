@@ -75,6 +75,15 @@ inline void multiply(const MatrixView& A, const MatrixView& B, float* C, std::si
   multiply(A, PackedMatrix(B, cores), C, rowStep, cores, into);
 }
 
+// A B as a matrix.
+inline Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> product(
+    const MatrixView& A, const MatrixView& B, Cores cores) {
+  Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor> C(
+      static_cast<Eigen::Index>(A.rows), static_cast<Eigen::Index>(B.columns));
+  multiply(A, B, C.data(), B.columns, cores);
+  return C;
+}
+
 // For `count` columns of p values each, one after the other (half or single precision): the Gram
 // matrix, p x p, both triangles, of the p rows: sum over columns of a a^T. One core.
 void gramOfColumns(const std::uint16_t* columns, std::size_t count, std::size_t p, float* gram);

@@ -51,28 +51,6 @@ LargeMatrix::LargeMatrix(const RowMajorMatrixf& matrix)
   rows_ = static_cast<std::size_t>(matrix.rows());
 }
 
-LargeMatrix::LargeMatrix(LargeMatrix&& other) noexcept
-    : pages_(std::move(other.pages_)),
-      rows_(std::exchange(other.rows_, 0)),
-      columns_(std::exchange(other.columns_, 0)),
-      memoryBytes_(other.memoryBytes_),
-      folder_(std::move(other.folder_)),
-      fd_(std::exchange(other.fd_, -1)) {}
-
-LargeMatrix& LargeMatrix::operator=(LargeMatrix&& other) noexcept {
-  std::swap(pages_, other.pages_);
-  std::swap(rows_, other.rows_);
-  std::swap(columns_, other.columns_);
-  std::swap(memoryBytes_, other.memoryBytes_);
-  std::swap(folder_, other.folder_);
-  std::swap(fd_, other.fd_);
-  return *this;
-}
-
-LargeMatrix::~LargeMatrix() {
-  if (fd_ >= 0) ::close(fd_);
-}
-
 Result<void> LargeMatrix::append(const float* rows, std::size_t count) {
   const std::size_t needed = (rows_ + count) * columns_ * sizeof(float);
   if (needed > pages_.size()) throw std::logic_error("more rows than a large matrix was made for");
@@ -87,10 +65,10 @@ Result<void> LargeMatrix::append(const float* rows, std::size_t count) {
 }
 
 Result<void> LargeMatrix::moveToFile() {
-  ASSIGN_OR_RETURN(fd_, openScratchFile(folder_));
+  ASSIGN_OR_RETURN(file_, openScratchFile(folder_));
   RETURN_IF_ERROR(write(data(), rows_, 0));
-  if (::ftruncate(fd_, static_cast<off_t>(pages_.size())) != 0 ||
-      ::mmap(pages_.data(), pages_.size(), PROT_READ, MAP_SHARED | MAP_FIXED, fd_, 0) ==
+  if (::ftruncate(file_.get(), static_cast<off_t>(pages_.size())) != 0 ||
+      ::mmap(pages_.data(), pages_.size(), PROT_READ, MAP_SHARED | MAP_FIXED, file_.get(), 0) ==
           MAP_FAILED) {
     return failure(ErrorCode::kIo, "{}: cannot keep the first stage here: {}", folder_.string(),
                    systemMessage(errno));
@@ -100,7 +78,8 @@ Result<void> LargeMatrix::moveToFile() {
 
 Result<void> LargeMatrix::write(const float* rows, std::size_t count, std::size_t at) {
   const std::size_t row = columns_ * sizeof(float);
-  if (const int error = writeAll(fd_, rows, count * row, static_cast<std::int64_t>(at * row))) {
+  if (const int error =
+          writeAll(file_.get(), rows, count * row, static_cast<std::int64_t>(at * row))) {
     return failure(ErrorCode::kIo,
                    "{}: cannot keep the first stage here: {}; make room or set TMPDIR",
                    folder_.string(), systemMessage(error));

@@ -6,6 +6,7 @@
 #include <cstddef>
 #include <filesystem>
 
+#include "capture/frame/descriptor.h"
 #include "capture/frame/result.h"
 #include "pipeline/compress/model.h"
 
@@ -37,9 +38,6 @@ class LargeMatrix {
   LargeMatrix(std::size_t columns, std::size_t mostRows, std::size_t memoryBytes,
               std::filesystem::path folder);
   explicit LargeMatrix(const RowMajorMatrixf& matrix);
-  LargeMatrix(LargeMatrix&& other) noexcept;
-  LargeMatrix& operator=(LargeMatrix&& other) noexcept;
-  ~LargeMatrix();
 
   // Fails with kIo if the file cannot grow.
   Result<void> append(const float* rows, std::size_t count);
@@ -48,7 +46,7 @@ class LargeMatrix {
   Eigen::Index cols() const { return static_cast<Eigen::Index>(columns_); }
   const float* data() const { return static_cast<const float*>(pages_.data()); }
   Eigen::Map<const RowMajorMatrixf> matrix() const { return {data(), rows(), cols()}; }
-  bool inFile() const { return fd_ >= 0; }
+  bool inFile() const { return static_cast<bool>(file_); }
   // These rows will not be read soon: they leave memory if they are in the file too.
   void release(std::size_t first, std::size_t count) const;
 
@@ -61,7 +59,7 @@ class LargeMatrix {
   std::size_t columns_ = 0;
   std::size_t memoryBytes_ = 0;
   std::filesystem::path folder_;
-  int fd_ = -1;
+  Descriptor file_;
 };
 
 }  // namespace lightsketch

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cstdint>
 
+#include "capture/frame/hash64.h"
 #include "pipeline/compress/kernels.h"
 #include "pipeline/compress/lapack.h"
 
@@ -14,12 +15,9 @@ namespace {
 using Eigen::Index;
 using Eigen::MatrixXd;
 
-// Uniform in [-1, 1), the same on every machine (splitmix64).
+// Uniform in [-1, 1), the same on every machine.
 float noise(std::uint64_t index) {
-  std::uint64_t z = (index + 1) * 0x9E3779B97F4A7C15u;
-  z = (z ^ (z >> 30)) * 0xBF58476D1CE4E5B9u;
-  z = (z ^ (z >> 27)) * 0x94D049BB133111EBu;
-  return static_cast<float>((z ^ (z >> 31)) >> 40) / static_cast<float>(1 << 23) - 1.0f;
+  return static_cast<float>(hash64(index) >> 40) / static_cast<float>(1 << 23) - 1.0f;
 }
 
 void fillWithNoise(RowMajorMatrixf& X, Index column, std::span<const bool> inPicture) {
@@ -28,12 +26,6 @@ void fillWithNoise(RowMajorMatrixf& X, Index column, std::span<const bool> inPic
                        ? noise(static_cast<std::uint64_t>(column * X.rows() + i))
                        : 0.0f;
   }
-}
-
-RowMajorMatrixf product(const MatrixView& A, const MatrixView& B) {
-  RowMajorMatrixf C(static_cast<Index>(A.rows), static_cast<Index>(B.columns));
-  multiply(A, B, C.data(), B.columns, Cores::kOne);
-  return C;
 }
 
 // Orthonormalises columns of any lengths that are not far from orthogonal: Cholesky-QR, twice.
@@ -46,10 +38,10 @@ void orthonormalise(RowMajorMatrixf& X, std::span<const bool> inPicture) {
   }
   for (int round = 0; round < 2; ++round) {
     X.array().rowwise() /= X.colwise().norm().array();
-    MatrixXd inner = product(MatrixView(X).transposed(), MatrixView(X)).cast<double>();
+    MatrixXd inner = product(MatrixView(X).transposed(), MatrixView(X), Cores::kOne).cast<double>();
     inner.diagonal().array() += 1e-7;  // should they not be that far from parallel
     const MatrixXd inverse = inner.llt().matrixU().solve(MatrixXd::Identity(X.cols(), X.cols()));
-    X = product(MatrixView(X), MatrixView(RowMajorMatrixf(inverse.cast<float>())));
+    X = product(MatrixView(X), MatrixView(RowMajorMatrixf(inverse.cast<float>())), Cores::kOne);
   }
 }
 
@@ -86,12 +78,13 @@ RowMajorMatrixf leadingEigenvectors(const RowMajorMatrixf& gram, std::span<const
   int step = 0;
   while (step < kSteps) {
     ++step;
-    RowMajorMatrixf Y = product(MatrixView(gram), MatrixView(X));
-    const MatrixXd inner = product(MatrixView(X).transposed(), MatrixView(Y)).cast<double>();
+    RowMajorMatrixf Y = product(MatrixView(gram), MatrixView(X), Cores::kOne);
+    const MatrixXd inner =
+        product(MatrixView(X).transposed(), MatrixView(Y), Cores::kOne).cast<double>();
     const Eigen::SelfAdjointEigenSolver<MatrixXd> solver(inner);
     values = solver.eigenvalues().reverse();
     const RowMajorMatrixf rotation = solver.eigenvectors().rowwise().reverse().cast<float>();
-    X = product(MatrixView(Y), MatrixView(rotation));
+    X = product(MatrixView(Y), MatrixView(rotation), Cores::kOne);
     orthonormalise(X, inPicture);
     const double now = values.head(wanted).sum();
     const double left = std::max(energy - now, 1e-6 * energy);

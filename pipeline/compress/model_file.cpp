@@ -28,6 +28,7 @@
 #include <string_view>
 #include <utility>
 
+#include "capture/frame/descriptor.h"
 #include "capture/frame/file.h"
 #include "pipeline/compress/model.h"
 #include "pipeline/compress/packed_code.h"
@@ -420,20 +421,6 @@ bool buildFile(const RelightableModel& model, Use use) {
 
 // --- Reading -------------------------------------------------------------------------------------
 
-class Descriptor {
- public:
-  explicit Descriptor(int fd) : fd_(fd) {}
-  ~Descriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Descriptor(const Descriptor&) = delete;
-  Descriptor& operator=(const Descriptor&) = delete;
-  int get() const { return fd_; }
-
- private:
-  int fd_;
-};
-
 // What the user block says, before libhdf5 has seen the file.
 struct Head {
   int version = 0;
@@ -575,8 +562,18 @@ class Reader {
       : file_(file), where_(path.string()), maxBytes_(maxBytes) {}
 
   Result<Shape> shape(const char* name, int dimensions) {
+    // Its numbers must lie in this file: libhdf5 would open others that a link or dataset names.
+    H5L_info_t link{};
+    if (H5Lget_info(file_, name, &link, H5P_DEFAULT) < 0 || link.type != H5L_TYPE_HARD)
+      return failure(ErrorCode::kCorrupt, "{}: dataset {} is missing", where_, name);
     const Handle set(H5Dopen2(file_, name, H5P_DEFAULT), H5Dclose);
     if (!set) return failure(ErrorCode::kCorrupt, "{}: dataset {} is missing", where_, name);
+    const Handle properties(H5Dget_create_plist(set), H5Pclose);
+    if (!properties || H5Pget_external_count(properties) != 0 ||
+        H5Pget_layout(properties) == H5D_VIRTUAL) {
+      return failure(ErrorCode::kCorrupt, "{}: the numbers of dataset {} lie in another file",
+                     where_, name);
+    }
     const Handle space(H5Dget_space(set), H5Sclose);
     if (H5Sget_simple_extent_ndims(space) != dimensions) {
       return failure(ErrorCode::kCorrupt, "{}: dataset {} does not have {} dimensions", where_,
@@ -924,7 +921,7 @@ Result<void> verifyVersion1(int fd, const Head& head, const std::filesystem::pat
 
 Result<RelightableModel> loadUnguarded(const std::filesystem::path& path) {
   const Descriptor descriptor(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
-  if (descriptor.get() < 0) {
+  if (!descriptor) {
     return failure(errno == ENOENT ? ErrorCode::kNotFound : ErrorCode::kIo, "{}: cannot open: {}",
                    path.string(), systemMessage(errno));
   }

@@ -38,12 +38,6 @@ int rounded(float value, float deadZone) {
   return static_cast<int>(std::copysign(std::clamp(size, 0.0f, 32767.0f), value));
 }
 
-RowMajorMatrixf product(const MatrixView& A, const MatrixView& B) {
-  RowMajorMatrixf C(static_cast<Index>(A.rows), static_cast<Index>(B.columns));
-  multiply(A, B, C.data(), B.columns, Cores::kAll);
-  return C;
-}
-
 // In place: each light's three columns between RGB and opponent colours.
 void turnColours(RowMajorMatrixf& V, const Eigen::Matrix3f& turn) {
   tbb::parallel_for(Index{0}, V.rows(), [&](Index k) {
@@ -131,7 +125,8 @@ RateDistortion::RateDistortion(const BlockLayout& layout, std::vector<std::int64
                                RowMajorMatrixf U, RowMajorMatrixf V)
     : layout_(layout),
       blockOffset_(std::move(blockOffset)),
-      coefficients_(product(MatrixView(E), MatrixView(dctMatrix(layout.blockSize)).transposed())),
+      coefficients_(product(MatrixView(E), MatrixView(dctMatrix(layout.blockSize)).transposed(),
+                            Cores::kAll)),
       rowEnergy_(rowEnergy),
       U_(std::move(U)),
       V_(std::move(V)) {
@@ -189,15 +184,16 @@ std::shared_ptr<const PackedCode> RateDistortion::encode(double noise) const {
   });
 
   // The singular values of that L.
-  MatrixXd gram = product(MatrixView(L).transposed(), MatrixView(L)).cast<double>();
+  MatrixXd gram = product(MatrixView(L).transposed(), MatrixView(L), Cores::kAll).cast<double>();
   VectorXd values;
   MatrixXd vectors;
   largestEigen(gram, static_cast<int>(gram.rows()), values, vectors);
   const auto q = std::max<Index>(1, (values.array() > rankThreshold(noise)).count());
   const RowMajorMatrixf turn = vectors.leftCols(q).cast<float>();
-  const RowMajorMatrixf U = product(MatrixView(L), MatrixView(turn));
-  RowMajorMatrixf V = product(MatrixView(turn).transposed(),
-                              MatrixView(V_).middleRows(0, static_cast<std::size_t>(reach)));
+  const RowMajorMatrixf U = product(MatrixView(L), MatrixView(turn), Cores::kAll);
+  RowMajorMatrixf V =
+      product(MatrixView(turn).transposed(),
+              MatrixView(V_).middleRows(0, static_cast<std::size_t>(reach)), Cores::kAll);
 
   // U: rows of E and V are of unit length, so that all its numbers are worth the same.
   code->rank = static_cast<int>(q);
@@ -214,12 +210,14 @@ std::shared_ptr<const PackedCode> RateDistortion::encode(double noise) const {
           foldSign(value);
     }
   });
-  MatrixXd gramU = product(MatrixView(rounds).transposed(), MatrixView(rounds)).cast<double>();
+  MatrixXd gramU =
+      product(MatrixView(rounds).transposed(), MatrixView(rounds), Cores::kAll).cast<double>();
   const VectorXd energyU = gramU.diagonal();
   gramU.diagonal().array() += 1e-6 * energyU.maxCoeff() / static_cast<double>(q) + 1e-3 * noise;
-  const RowMajorMatrixf cross = product(MatrixView(rounds).transposed(), MatrixView(U));
+  const RowMajorMatrixf cross =
+      product(MatrixView(rounds).transposed(), MatrixView(U), Cores::kAll);
   const RowMajorMatrixf refit = gramU.ldlt().solve(cross.cast<double>()).cast<float>();
-  V = product(MatrixView(refit), MatrixView(V));
+  V = product(MatrixView(refit), MatrixView(V), Cores::kAll);
 
   code->V.resize(3 * static_cast<std::size_t>(q) * n);
   code->stepV.resize(static_cast<std::size_t>(q));

@@ -28,15 +28,15 @@ int transferAll(Function function, int fd, Byte* bytes, std::size_t count, off_t
 
 }  // namespace
 
-Result<int> openScratchFile(const std::filesystem::path& folder) {
+Result<Descriptor> openScratchFile(const std::filesystem::path& folder) {
   std::string name = (folder / "lightsketch-XXXXXX").string();
-  const int fd = ::mkostemp(name.data(), O_CLOEXEC);
-  if (fd < 0) {
+  Descriptor file(::mkostemp(name.data(), O_CLOEXEC));
+  if (!file) {
     return failure(ErrorCode::kIo, "{}: cannot write a scratch file: {}", folder.string(),
                    systemMessage(errno));
   }
   ::unlink(name.c_str());
-  return fd;
+  return file;
 }
 
 int writeAll(int fd, const void* bytes, std::size_t count, std::int64_t at) {

@@ -5,12 +5,12 @@
 #include <cstdint>
 #include <filesystem>
 
+#include "capture/frame/descriptor.h"
 #include "capture/frame/result.h"
 
 namespace lightsketch {
 
-// Its descriptor; the caller closes it.
-Result<int> openScratchFile(const std::filesystem::path& folder);
+Result<Descriptor> openScratchFile(const std::filesystem::path& folder);
 
 // All of a range; the errno of what failed, 0 if nothing did.
 int writeAll(int fd, const void* bytes, std::size_t count, std::int64_t at);

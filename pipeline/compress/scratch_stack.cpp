@@ -23,11 +23,11 @@ namespace lightsketch {
 Result<ScratchStack> ScratchStack::create(const LightStack& stack, const BlockLayout& layout,
                                           const std::filesystem::path& folder, Progress& progress,
                                           std::size_t memoryBytes) {
-  ASSIGN_OR_RETURN(const int fd, openScratchFile(folder));
-  ScratchStack scratch(fd, layout, stack.size(), folder);
+  ASSIGN_OR_RETURN(Descriptor file, openScratchFile(folder));
+  ScratchStack scratch(std::move(file), layout, stack.size(), folder);
   // A disk too small is better known before hours of decoding than after.
   const std::int64_t bytes = scratch.offsetOf(layout.blocks(), 0);
-  if (bytes > 0 && ::fallocate(fd, 0, 0, bytes) != 0 && errno != EOPNOTSUPP) {
+  if (bytes > 0 && ::fallocate(scratch.file_.get(), 0, 0, bytes) != 0 && errno != EOPNOTSUPP) {
     return failure(ErrorCode::kIo, "{}: no room for the decoded images ({} MB): {}; set TMPDIR",
                    folder.string(), bytes / 1'000'000, systemMessage(errno));
   }
@@ -58,16 +58,6 @@ Result<ScratchStack> ScratchStack::create(const LightStack& stack, const BlockLa
   if (error) return tl::unexpected<Error>(std::move(*error));
   if (progress.cancelled()) return failure(ErrorCode::kCancelled, "cancelled");
   return scratch;
-}
-
-ScratchStack::ScratchStack(ScratchStack&& other) noexcept
-    : fd_(std::exchange(other.fd_, -1)),
-      layout_(other.layout_),
-      images_(other.images_),
-      folder_(std::move(other.folder_)) {}
-
-ScratchStack::~ScratchStack() {
-  if (fd_ >= 0) ::close(fd_);
 }
 
 std::int64_t ScratchStack::offsetOf(int block, int image) const {
@@ -103,8 +93,9 @@ Result<void> ScratchStack::write(const LightStack& stack, int firstImage, int co
   }
   for (std::size_t block = 0; block < blocks; ++block) {
     const std::size_t values = images * blockValues();
-    if (const int error = writeAll(fd_, halfs + block * values, values * sizeof(std::uint16_t),
-                                   offsetOf(static_cast<int>(block), firstImage))) {
+    if (const int error =
+            writeAll(file_.get(), halfs + block * values, values * sizeof(std::uint16_t),
+                     offsetOf(static_cast<int>(block), firstImage))) {
       return failure(ErrorCode::kIo,
                      "{}: cannot keep the decoded images here: {}; make room or set TMPDIR",
                      folder_.string(), systemMessage(error));
@@ -115,7 +106,7 @@ Result<void> ScratchStack::write(const LightStack& stack, int firstImage, int co
 
 Result<void> ScratchStack::read(int block, std::uint16_t* halfs) const {
   const std::size_t bytes = static_cast<std::size_t>(offsetOf(1, 0));
-  if (const int error = readAll(fd_, halfs, bytes, offsetOf(block, 0)))
+  if (const int error = readAll(file_.get(), halfs, bytes, offsetOf(block, 0)))
     return failure(ErrorCode::kIo, "cannot read the scratch file back: {}", systemMessage(error));
   return {};
 }

@@ -9,6 +9,7 @@
 #include <utility>
 #include <vector>
 
+#include "capture/frame/descriptor.h"
 #include "capture/frame/progress.h"
 #include "capture/frame/result.h"
 #include "pipeline/compress/model.h"
@@ -25,10 +26,6 @@ class ScratchStack {
   static Result<ScratchStack> create(const LightStack& stack, const BlockLayout& layout,
                                      const std::filesystem::path& folder, Progress& progress,
                                      std::size_t memoryBytes = 200'000'000);
-  ScratchStack(ScratchStack&& other) noexcept;
-  ScratchStack& operator=(ScratchStack&&) = delete;
-  ~ScratchStack();
-
   int images() const { return images_; }
   const std::filesystem::path& folder() const { return folder_; }
   // Halfs of one block of one image: 3 p.
@@ -37,13 +34,13 @@ class ScratchStack {
   Result<void> read(int block, std::uint16_t* halfs) const;
 
  private:
-  ScratchStack(int fd, const BlockLayout& layout, int images, std::filesystem::path folder)
-      : fd_(fd), layout_(layout), images_(images), folder_(std::move(folder)) {}
+  ScratchStack(Descriptor file, const BlockLayout& layout, int images, std::filesystem::path folder)
+      : file_(std::move(file)), layout_(layout), images_(images), folder_(std::move(folder)) {}
   Result<void> write(const LightStack& stack, int firstImage, int count, Progress& progress,
                      std::atomic<std::size_t>& done) const;
   std::int64_t offsetOf(int block, int image) const;
 
-  int fd_ = -1;
+  Descriptor file_;
   BlockLayout layout_;
   int images_ = 0;
   std::filesystem::path folder_;

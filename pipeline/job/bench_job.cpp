@@ -19,6 +19,7 @@
 #include <stdexcept>
 #include <string_view>
 
+#include "capture/frame/descriptor.h"
 #include "capture/frame/srgb.h"
 #include "pipeline/compress/factorise.h"
 #include "pipeline/compress/first_stage.h"
@@ -331,21 +332,20 @@ Result<InflateSeconds> inflateSeconds(const fs::path& path, double budget) {
 // Seconds to read a file's bytes from warm cache into fresh memory, which whoever keeps them needs,
 // on all cores and large pages.
 double readSeconds(const fs::path& path, double budget) {
-  const int fd = ::open(path.c_str(), O_RDONLY | O_CLOEXEC);
-  const off_t size = ::lseek(fd, 0, SEEK_END);
+  const Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
+  const off_t size = ::lseek(file.get(), 0, SEEK_END);
   const double seconds = bestSeconds(budget, [&] {
     FactorValues memory(ElementType::kInt8, static_cast<std::size_t>(size));
     constexpr off_t kPiece = off_t{1} << 22;
     tbb::parallel_for(off_t{0}, (size + kPiece - 1) / kPiece, [&](off_t piece) {
       for (off_t at = piece * kPiece; at < std::min(size, (piece + 1) * kPiece);) {
         const auto count = static_cast<std::size_t>(std::min(size, (piece + 1) * kPiece) - at);
-        const ssize_t read = ::pread(fd, memory.data() + at, count, at);
+        const ssize_t read = ::pread(file.get(), memory.data() + at, count, at);
         if (read <= 0) return;
         at += read;
       }
     });
   });
-  ::close(fd);
   return seconds;
 }
 

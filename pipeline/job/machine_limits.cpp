@@ -14,6 +14,7 @@
 #include <thread>
 #include <vector>
 
+#include "capture/frame/descriptor.h"
 #include "capture/frame/file.h"
 #include "pipeline/compress/factor_values.h"
 
@@ -155,14 +156,8 @@ double fmaPeak(LimitEffort effort) {
 }
 
 Result<FileReadRate> warmFileRead(const std::filesystem::path& file, LimitEffort effort) {
-  struct Descriptor {
-    int fd;
-    ~Descriptor() {
-      if (fd >= 0) ::close(fd);
-    }
-  };
-  const Descriptor source{::open(file.c_str(), O_RDONLY | O_CLOEXEC)};
-  if (source.fd < 0) {
+  const Descriptor source(::open(file.c_str(), O_RDONLY | O_CLOEXEC));
+  if (!source) {
     return failure(ErrorCode::kIo, "{}: cannot open: {}", file.string(), systemMessage(errno));
   }
   std::error_code error;
@@ -178,7 +173,7 @@ Result<FileReadRate> warmFileRead(const std::filesystem::path& file, LimitEffort
       for (std::size_t at = kPiece * static_cast<std::size_t>(thread); at < memory.bytes();
            at += step) {
         const std::size_t bytes = std::min(kPiece, memory.bytes() - at);
-        if (::pread(source.fd, memory.data() + at, bytes, static_cast<off_t>(at)) !=
+        if (::pread(source.get(), memory.data() + at, bytes, static_cast<off_t>(at)) !=
             static_cast<ssize_t>(bytes)) {
           torn = true;
         }
