@@ -46,6 +46,8 @@ class ExposureLog {
   }
 
   const ExposureSetting& current() const { return current_; }
+  // Whether a change was begun before `time` that frames do not surely show yet.
+  bool isChangingAt(TimePoint time) const { return change_ && change_->before < time; }
 
  private:
   struct Change {

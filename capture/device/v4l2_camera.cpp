@@ -317,14 +317,19 @@ std::optional<Frame> makeFrame(Link& link, const StreamPlan& plan, const v4l2_bu
   }
   const Duration stamp = std::chrono::seconds(buffer.timestamp.tv_sec) +
                          std::chrono::microseconds(buffer.timestamp.tv_usec);
-  const V4l2FrameTime time =
-      v4l2FrameTime(stampOf(buffer, plan.uvcWithoutClock), TimePoint(stamp), arrival,
-                    fromSeconds(link.exposures.current().seconds), plan.interval);
-  const auto exposure = link.exposures.of(time.exposureStart, time.sigma);
-  if (!exposure) {
+  const auto timeWith = [&](double exposureSeconds) {
+    return v4l2FrameTime(stampOf(buffer, plan.uvcWithoutClock), TimePoint(stamp), arrival,
+                         fromSeconds(exposureSeconds), plan.interval);
+  };
+  // Nobody tells when a control takes effect: what was still on its way when it was set is in
+  // doubt.
+  const V4l2FrameTime assumed = timeWith(link.exposures.current().seconds);
+  const auto exposure = link.exposures.of(assumed.exposureStart, assumed.sigma);
+  if (!exposure || link.exposures.isChangingAt(arrival)) {
     ++link.statistics.skipped;
     return {};
   }
+  const V4l2FrameTime time = timeWith(exposure->seconds);
   FrameMetadata& metadata = frame.metadata;
   metadata.id = *link.lastId;
   metadata.deviceTimeNs = stamp.count();
