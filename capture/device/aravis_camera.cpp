@@ -1,15 +1,19 @@
 #include "capture/device/aravis_camera.h"
 
 #include <arv.h>
+#include <sys/socket.h>
+#include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <atomic>
 #include <cmath>
 #include <condition_variable>
+#include <deque>
 #include <mutex>
 #include <numbers>
 #include <optional>
+#include <span>
 #include <stop_token>
 #include <thread>
 #include <utility>
@@ -17,11 +21,14 @@
 #include "capture/device/clock_mapping.h"
 #include "capture/device/exposure_log.h"
 #include "capture/device/gvcp_probe.h"
+#include "capture/device/wire_format.h"
 
 namespace lightsketch {
 namespace {
 
-constexpr int kBuffers = 8;  // each is copied out and handed back at once
+constexpr guint kMinBuffers = 8;  // each is copied out and handed back at once
+constexpr guint kMaxBuffers = 32;
+constexpr guint kBufferBytes = 64 << 20;  // together, unless that makes too few
 constexpr int kSocketBufferBytes = 4 << 20;
 constexpr auto kAnswerTimeout = std::chrono::seconds(1);
 constexpr auto kHeartbeat = std::chrono::seconds(3);  // GigE Vision's default
@@ -32,12 +39,25 @@ constexpr int kComparisons = 4;
 // exposure and that differs by camera; this is what we admit to.
 constexpr auto kUnlatchedSigma = std::chrono::milliseconds(2);
 constexpr auto kUnlatchedWindow = std::chrono::seconds(1);
+// Frames without any time of their own: the jitter of their arrival on a busy machine.
+constexpr auto kUnstampedSigma = std::chrono::milliseconds(5);
+// From a frame's mapped time to its first packet it takes nearly always the same time. What differs
+// by more than this has a wrong time, or comes from a computer too busy to tell.
+constexpr auto kDelayTolerance = std::chrono::milliseconds(200);
+constexpr std::size_t kDelays = 15;
+constexpr auto kClockDoubt = std::chrono::seconds(2);  // then the latch is no longer believed
+constexpr std::size_t kRepairMemory = 16;              // frames
+constexpr auto kSilence = std::chrono::seconds(6);     // beyond what exposing takes
 constexpr int kSettlingFrames = 1;  // a change takes effect after one frame (measured)
 
 // GigE Vision bootstrap registers.
 constexpr std::uint64_t kTimestampControl = 0x0944;
 constexpr std::uint64_t kTimestampLatched = 0x0948;
 constexpr std::uint32_t kLatch = 2;
+
+constexpr std::array kChunks = {"ExposureTime", "Gain", "Timestamp", "PayloadCRC16"};
+constexpr std::uint32_t kImageChunk = 1;
+constexpr std::size_t kPacketHeaders = 20 + 8 + 8;  // IP, UDP, GVSP
 
 struct Unref {
   void operator()(void* object) const { g_object_unref(object); }
@@ -65,6 +85,41 @@ class GlibError {
 
 std::string orEmpty(const char* text) { return text == nullptr ? "" : text; }
 
+// Aravis counts a packet as received before it looks at it, and may then leave it alone: too short,
+// of an unknown kind, out of place. What it has not written over still carries these marks, one at
+// the end of each packet's block. No picture of 10 to 14 bits has them.
+constexpr std::array<std::uint8_t, 4> kMark = {0x5a, 0xc3, 0x96, 0xe1};
+// Calls `visit` with the place of each block's mark.
+template <class Visit>
+void forEachMark(std::size_t bytes, std::size_t block, Visit visit) {
+  if (block < kMark.size()) return;
+  for (std::size_t end = block; end <= bytes; end += block) visit(end - kMark.size());
+  if (bytes >= kMark.size()) visit(bytes - kMark.size());
+}
+bool allBlocksWritten(std::span<const std::uint8_t> payload, std::size_t block) {
+  bool written = true;
+  forEachMark(payload.size(), block, [&](std::size_t at) {
+    if (std::equal(kMark.begin(), kMark.end(), payload.data() + at)) written = false;
+  });
+  return written;
+}
+void markAndPush(ArvStream* stream, ArvBuffer* buffer, std::size_t block) {
+  std::size_t size = 0;
+  auto* const data =  // ours until it is pushed
+      static_cast<std::uint8_t*>(const_cast<void*>(arv_buffer_get_data(buffer, &size)));
+  forEachMark(size, block,
+              [&](std::size_t at) { std::copy(kMark.begin(), kMark.end(), data + at); });
+  arv_stream_push_buffer(stream, buffer);
+}
+
+// What the stream was started with: what frames have to agree with.
+struct Announced {
+  WireFormat format;
+  Region region;
+  bool triggered = false;
+  std::size_t block = 0;  // bytes of payload in a packet; 0: no packets
+};
+
 // What Aravis' threads work on. Shared with them, because a dead camera is closed in the background
 // and may outlive the Camera object.
 struct Link {
@@ -73,79 +128,269 @@ struct Link {
   const std::string address;
   std::atomic<bool> lost = false;
 
+  std::mutex control;  // Guards the feature tree, which Aravis does not.
+
   std::mutex callbackMutex;  // Guards the callbacks, and is held while one runs.
   FrameCallback onFrame;
   EndCallback onEnd;
 
   std::mutex mutex;  // Guards the following.
+  Announced announced;
   StreamStatistics statistics;
+  std::vector<std::string> notes;
   ClockMapping clock;
   ExposureLog exposures{kSettlingFrames};
   bool latched = false;      // the clock is mapped by latching it; otherwise by arrivals
   bool warmedUp = false;     // the first frame of a session is often incomplete: it is dropped
   std::uint64_t lastId = 0;  // unwrapped; 0: none yet
+  std::uint64_t damagedSinceLast = 0;
+  // The frames that are being received, in their order.
+  struct Begun {
+    TimePoint firstPacket;
+    std::uint64_t duplicated = 0;  // packets until then, as Aravis counts them
+    std::uint64_t repaired = 0;    // the same of packets sent again, until some frames before
+  };
+  std::deque<Begun> begun;
+  std::deque<std::uint64_t> repairs;  // when each of the latest frames began
+  TimePoint lastArrival;
   std::optional<Duration> leastDelay;  // unlatched: of this window
   std::int64_t windowBegin = 0;
+  std::optional<std::int64_t> lastStamp;
+  std::deque<Duration> delays;  // from the mapped end of exposure to the first packet
+  std::optional<TimePoint> doubtSince;
+  std::uint64_t duplicated = 0;        // packets so far, as Aravis counts them
+  std::deque<std::uint64_t> repaired;  // the same of packets sent again, after each of some frames
 
-  void receive(ArvBuffer* buffer, TimePoint arrival);
-  std::optional<Frame> makeFrame(ArvBuffer* buffer, TimePoint arrival);
+  void begin(const Announced& stream, const ExposureSetting& exposure);
+  void receive(ArvStream* stream, ArvChunkParser* parser, ArvBuffer* buffer, TimePoint arrival);
+  std::optional<Frame> makeFrame(ArvStream* stream, ArvChunkParser* parser, ArvBuffer* buffer,
+                                 TimePoint arrival);
+  void beginFrame(ArvStream* stream);
   bool acceptId(std::uint64_t id);
-  void compareByArrival(std::int64_t deviceTimeNs, TimePoint leaderArrival);
-  void end();
+  std::optional<ClockMapping::Mapped> mapTime(std::int64_t deviceTimeNs, TimePoint firstPacket,
+                                              TimePoint arrival, double exposureSeconds);
+  std::optional<ClockMapping::Mapped> mapByArrival(std::int64_t deviceTimeNs, TimePoint firstPacket,
+                                                   double exposureSeconds);
+  void compared(std::int64_t deviceTimeNs, TimePoint host, Duration sigma);
+  void end(std::string_view why);
 };
 
-// Unwraps a frame id, counts what is missing before it. Caller holds the mutex.
+void Link::begin(const Announced& stream, const ExposureSetting& exposure) {
+  const std::lock_guard lock(mutex);
+  announced = stream;
+  statistics = {};
+  clock = {};
+  exposures.reset(exposure);
+  latched = true;  // until it fails
+  warmedUp = false;
+  lastId = damagedSinceLast = 0;
+  begun.clear();
+  repairs.clear();
+  lastArrival = Clock::now();
+  leastDelay.reset();
+  windowBegin = 0;
+  lastStamp.reset();
+  delays.clear();
+  doubtSince.reset();
+}
+
+// Unwraps a whole frame's id, counts what is missing before it. False for what has been here
+// already. Caller holds the mutex.
 bool Link::acceptId(std::uint64_t id) {
   constexpr std::uint64_t kCycle = 65535;  // 16-bit ids go 65535 -> 1; longer ones do not wrap
-  std::uint64_t unwrapped = id;
-  if (lastId != 0 && id <= kCycle) {
-    const std::uint64_t last = (lastId - 1) % kCycle + 1;
-    unwrapped = lastId + (id + kCycle - last) % kCycle;
+  if (lastId == 0) {
+    lastId = id;
+  } else {
+    const bool wraps = id <= kCycle;
+    const std::uint64_t step =
+        wraps ? (id + kCycle - (lastId - 1) % kCycle - 1) % kCycle : id - lastId;
+    if (step == 0 || step > (wraps ? kCycle / 2 : id)) return false;
+    statistics.lost += step - 1 - std::min(step - 1, damagedSinceLast);
+    lastId += step;
   }
-  if (unwrapped <= lastId) return false;
-  if (lastId != 0) statistics.lost += unwrapped - lastId - 1;
-  lastId = unwrapped;
+  damagedSinceLast = 0;
   return true;
+}
+
+std::uint64_t countOf(ArvStream* stream, const char* name) {
+  return ARV_IS_GV_STREAM(stream) ? arv_stream_get_info_uint64_by_name(stream, name) : 0;
+}
+std::uint64_t duplicatedPackets(ArvStream* stream) {
+  return countOf(stream, "n_duplicated_packets");
+}
+std::uint64_t repairedPackets(ArvStream* stream) {
+  return countOf(stream, "n_resent_packets") + countOf(stream, "n_missing_packets") +
+         countOf(stream, "n_error_packets");
+}
+
+void Link::beginFrame(ArvStream* stream) {
+  const TimePoint now = Clock::now();
+  const std::lock_guard lock(mutex);
+  repairs.push_back(repairedPackets(stream));
+  if (repairs.size() > kRepairMemory) repairs.pop_front();
+  begun.push_back({now, duplicatedPackets(stream), repairs.front()});
+}
+
+// Of a packet with a wrong place in it Aravis keeps the payload where it was not meant to be: then
+// it takes the right one for a duplicate, and misses another, maybe of a frame before. Either alone
+// is harmless.
+bool packetsInDoubt(ArvStream* stream, const Link::Begun& begun) {
+  return duplicatedPackets(stream) != begun.duplicated && repairedPackets(stream) != begun.repaired;
+}
+
+// The clock was latched: it showed `deviceTimeNs` at `host`. Caller holds the mutex.
+void Link::compared(std::int64_t deviceTimeNs, TimePoint host, Duration sigma) {
+  if (!latched) return;
+  const auto expected = clock.map(deviceTimeNs);
+  const Duration error = expected ? host - expected->host : Duration(0);
+  if (std::chrono::abs(error) > 5 * (sigma + kUnlatchedSigma)) clock = {};  // it has been set
+  clock.add(deviceTimeNs, host, sigma);
 }
 
 // The lower envelope of arrival over the device's time: the frame with the least delay in each
 // window says when its exposure began, give or take the camera's overhead. Caller holds the mutex.
-void Link::compareByArrival(std::int64_t deviceTimeNs, TimePoint leaderArrival) {
-  const Duration delay = leaderArrival.time_since_epoch() -
-                         fromSeconds(exposures.current().seconds) - Duration(deviceTimeNs);
-  const bool first = !leastDelay && windowBegin == 0;
+std::optional<ClockMapping::Mapped> Link::mapByArrival(std::int64_t deviceTimeNs,
+                                                       TimePoint firstPacket,
+                                                       double exposureSeconds) {
+  const TimePoint start = firstPacket - fromSeconds(exposureSeconds);
+  if (lastStamp == deviceTimeNs) return ClockMapping::Mapped{start, kUnstampedSigma};
+  const auto expected = clock.map(deviceTimeNs);
+  const bool set = expected && std::chrono::abs(start - expected->host) > kDelayTolerance;
+  if (set) {
+    clock = {};
+    leastDelay.reset();
+  }
+  const Duration delay = start.time_since_epoch() - Duration(deviceTimeNs);
+  const bool first = !expected || set;
   leastDelay = std::min(leastDelay.value_or(delay), delay);
   if (first || Duration(deviceTimeNs - windowBegin) > kUnlatchedWindow) {
     clock.add(deviceTimeNs, TimePoint(*leastDelay + Duration(deviceTimeNs)), kUnlatchedSigma);
     leastDelay.reset();
     windowBegin = deviceTimeNs;
   }
+  return set ? std::nullopt : clock.map(deviceTimeNs);
+}
+
+// When its exposure began; nothing where that cannot be right. Caller holds the mutex.
+std::optional<ClockMapping::Mapped> Link::mapTime(std::int64_t deviceTimeNs, TimePoint firstPacket,
+                                                  TimePoint arrival, double exposureSeconds) {
+  const Duration exposure = fromSeconds(exposureSeconds);
+  std::optional<ClockMapping::Mapped> mapped;
+  if (latched) {
+    mapped = clock.map(deviceTimeNs);
+    const Duration delay = firstPacket - mapped->host - exposure;
+    std::vector<Duration> sorted(delays.begin(), delays.end());
+    std::sort(sorted.begin(), sorted.end());
+    const Duration usual = sorted.empty() ? delay : sorted[sorted.size() / 2];
+    const bool early = arrival < mapped->host + exposure - 5 * mapped->sigma - kUnlatchedSigma;
+    const bool late = arrival - mapped->host - exposure > kClockDoubt;
+    if (early || late || std::chrono::abs(delay - usual) > kDelayTolerance) {
+      if (!doubtSince) doubtSince = arrival;
+      mapped.reset();
+      if (arrival - *doubtSince > kClockDoubt) {
+        latched = false;
+        clock = {};
+      }
+    } else {
+      doubtSince.reset();
+      delays.push_back(delay);
+      if (delays.size() > kDelays) delays.pop_front();
+    }
+  }
+  if (!latched) mapped = mapByArrival(deviceTimeNs, firstPacket, exposureSeconds);
+  lastStamp = deviceTimeNs;
+  return mapped;
+}
+
+// CRC-16/XMODEM, as Basler's PayloadCRC16.
+std::uint16_t crc16(std::span<const std::uint8_t> bytes) {
+  static const auto table = [] {
+    std::array<std::uint16_t, 256> values{};
+    for (unsigned i = 0; i < values.size(); ++i) {
+      unsigned crc = i << 8;
+      for (int bit = 0; bit < 8; ++bit) crc = crc << 1 ^ ((crc & 0x8000) != 0 ? 0x1021u : 0u);
+      values[i] = static_cast<std::uint16_t>(crc);
+    }
+    return values;
+  }();
+  std::uint16_t crc = 0;
+  for (const std::uint8_t byte : bytes) {
+    crc = static_cast<std::uint16_t>(crc << 8 ^ table[static_cast<std::size_t>(crc >> 8 ^ byte)]);
+  }
+  return crc;
+}
+
+// Walks the chunks from the last to the picture, which is the first (GigE Vision 2.0, section 27:
+// each is followed by its id and length). The picture's bytes; 0 if the lengths do not add up.
+std::size_t imageBytesBeforeChunks(std::span<const std::uint8_t> payload) {
+  const auto word = [&](std::size_t at) {
+    return static_cast<std::uint32_t>(payload[at]) << 24 |
+           static_cast<std::uint32_t>(payload[at + 1]) << 16 |
+           static_cast<std::uint32_t>(payload[at + 2]) << 8 | payload[at + 3];
+  };
+  std::size_t end = payload.size();
+  while (end >= 8) {
+    const std::uint32_t id = word(end - 8), length = word(end - 4);
+    if (length > end - 8) return 0;
+    end -= 8 + length;
+    if (id == kImageChunk) return end == 0 ? length : 0;
+  }
+  return 0;
+}
+
+// Nothing if a checksum says that the payload is damaged.
+std::optional<ToldExposure> readChunks(ArvChunkParser* parser, ArvBuffer* buffer,
+                                       std::span<const std::uint8_t> payload) {
+  ToldExposure values;
+  GlibError error;
+  const double exposure =
+      arv_chunk_parser_get_float_value(parser, buffer, "ChunkExposureTime", error.out());
+  if (!error) values.seconds = 1e-6 * exposure;
+  const double gain = arv_chunk_parser_get_float_value(parser, buffer, "ChunkGain", error.out());
+  if (!error) values.gainDb = gain;
+  const gint64 crc =
+      arv_chunk_parser_get_integer_value(parser, buffer, "ChunkPayloadCRC16", error.out());
+  if (error) return values;
+  // It covers what is before it, and is the last chunk, of two or four bytes.
+  for (const std::size_t tail : {std::size_t{10}, std::size_t{12}}) {
+    if (payload.size() > tail && crc16(payload.first(payload.size() - tail)) == crc) return values;
+  }
+  return std::nullopt;
 }
 
 // Caller holds the mutex.
-std::optional<Frame> Link::makeFrame(ArvBuffer* buffer, TimePoint arrival) {
+std::optional<Frame> Link::makeFrame(ArvStream* stream, ArvChunkParser* parser, ArvBuffer* buffer,
+                                     TimePoint arrival) {
+  Begun frameBegun{arrival};
+  if (!begun.empty()) {
+    frameBegun = begun.front();
+    begun.pop_front();
+  }
   const ArvBufferStatus status = arv_buffer_get_status(buffer);
   if (status == ARV_BUFFER_STATUS_CLEARED || status == ARV_BUFFER_STATUS_ABORTED) return {};
+  lastArrival = arrival;
   const bool warmUp = !std::exchange(warmedUp, true);
-  const bool inOrder = acceptId(arv_buffer_get_frame_id(buffer));
 
-  // Accept only what is whole and of the shape it claims.
-  Frame frame;
-  bool whole = inOrder && status == ARV_BUFFER_STATUS_SUCCESS &&
+  // Accept only what is whole and of the shape that was announced.
+  const Region& region = announced.region;
+  const std::size_t pixels =
+      static_cast<std::size_t>(region.width) * static_cast<std::size_t>(region.height);
+  const std::size_t imageBytes = announced.format.bytes(pixels);
+  bool whole = status == ARV_BUFFER_STATUS_SUCCESS &&
                arv_buffer_get_payload_type(buffer) == ARV_BUFFER_PAYLOAD_TYPE_IMAGE;
-  std::size_t size = 0;
-  const void* data = whole ? arv_buffer_get_image_data(buffer, &size) : nullptr;
+  std::span<const std::uint8_t> payload;
   if (whole) {
-    const auto format = pixelFormatFromCode(arv_buffer_get_image_pixel_format(buffer));
+    std::size_t size = 0;
+    const auto* data = static_cast<const std::uint8_t*>(arv_buffer_get_image_data(buffer, &size));
+    Region sent;
     int paddingX = 0, paddingY = 0;
+    arv_buffer_get_image_region(buffer, &sent.x, &sent.y, &sent.width, &sent.height);
     arv_buffer_get_image_padding(buffer, &paddingX, &paddingY);
-    frame.width = arv_buffer_get_image_width(buffer);
-    frame.height = arv_buffer_get_image_height(buffer);
-    whole = format && data != nullptr && frame.width > 0 && frame.height > 0 && paddingX == 0 &&
-            paddingY == 0 &&
-            size == static_cast<std::size_t>(frame.width) * static_cast<std::size_t>(frame.height) *
-                        static_cast<std::size_t>(pixelFormatInfo(*format).bytesPerPixel);
-    if (whole) frame.format = *format;
+    if (data != nullptr) payload = {data, size};
+    whole = data != nullptr && sent == region && paddingX == 0 && paddingY == 0 &&
+            arv_buffer_get_image_pixel_format(buffer) == announced.format.code &&
+            allBlocksWritten(payload, announced.block) &&
+            imageBytes == (arv_buffer_has_chunks(buffer) ? imageBytesBeforeChunks(payload) : size);
   }
   if (warmUp) {
     ++statistics.skipped;
@@ -153,23 +398,35 @@ std::optional<Frame> Link::makeFrame(ArvBuffer* buffer, TimePoint arrival) {
   }
   if (!whole) {
     ++statistics.incomplete;
+    ++damagedSinceLast;
+    return {};
+  }
+  std::optional<ToldExposure> chunks = ToldExposure{};
+  if (parser != nullptr && arv_buffer_has_chunks(buffer)) {
+    chunks = readChunks(parser, buffer, payload);
+  }
+  if (!chunks || packetsInDoubt(stream, frameBegun) || !acceptId(arv_buffer_get_frame_id(buffer))) {
+    ++statistics.implausible;
+    ++damagedSinceLast;
     return {};
   }
 
-  // Aravis notes on the wall clock when the leader came.
   const auto deviceTimeNs = static_cast<std::int64_t>(arv_buffer_get_timestamp(buffer));
-  if (!latched) {
-    const auto sinceLeader = std::chrono::microseconds(g_get_real_time()) -
-                             Duration(arv_buffer_get_system_timestamp(buffer));
-    compareByArrival(deviceTimeNs, arrival - sinceLeader);
+  const auto start = mapTime(deviceTimeNs, frameBegun.firstPacket, arrival,
+                             chunks->seconds.value_or(exposures.current().seconds));
+  if (!start) {
+    ++statistics.implausible;
+    return {};
   }
-  const auto start = clock.map(deviceTimeNs);
-  const auto exposure =
-      start ? exposures.of(start->host, start->sigma) : std::optional<ExposureSetting>();
+  const auto exposure = exposures.of(start->host, start->sigma, *chunks);
   if (!exposure) {
     ++statistics.skipped;
     return {};
   }
+  Frame frame;
+  frame.format = announced.format.format;
+  frame.width = region.width;
+  frame.height = region.height;
   FrameMetadata& metadata = frame.metadata;
   metadata.id = lastId;
   metadata.deviceTimeNs = deviceTimeNs;
@@ -178,16 +435,16 @@ std::optional<Frame> Link::makeFrame(ArvBuffer* buffer, TimePoint arrival) {
   metadata.arrival = arrival;
   metadata.exposureSeconds = exposure->seconds;
   metadata.gainDb = exposure->gainDb;
-  const auto* bytes = static_cast<const std::uint8_t*>(data);
-  frame.bytes.assign(bytes, bytes + size);
+  unpackPixels(announced.format, payload.first(imageBytes), pixels, frame.bytes);
   return frame;
 }
 
-void Link::receive(ArvBuffer* buffer, TimePoint arrival) {
+void Link::receive(ArvStream* stream, ArvChunkParser* parser, ArvBuffer* buffer,
+                   TimePoint arrival) {
   std::optional<Frame> frame;
   {
     const std::lock_guard lock(mutex);
-    frame = makeFrame(buffer, arrival);
+    frame = makeFrame(stream, parser, buffer, arrival);
   }
   if (!frame) return;
   const std::lock_guard callbackLock(callbackMutex);
@@ -199,14 +456,14 @@ void Link::receive(ArvBuffer* buffer, TimePoint arrival) {
   onFrame(std::move(*frame));
 }
 
-void Link::end() {
+void Link::end(std::string_view why) {
   if (lost.exchange(true)) return;
   const std::lock_guard lock(callbackMutex);
-  if (onEnd) {
-    onEnd(Error{ErrorCode::kDevice, address + ": the camera does not answer any more (unplugged, "
-                                              "switched off or its network failed)"});
-  }
+  if (onEnd) onEnd(Error{ErrorCode::kDevice, fmt::format("{}: {}", address, why)});
 }
+
+constexpr std::string_view kGone =
+    "the camera does not answer any more (unplugged, switched off or its network failed)";
 
 // The stream with what it needs while it runs.
 struct Stream {
@@ -217,64 +474,120 @@ struct Stream {
 // Called on Aravis' stream thread: the frame is copied there and the buffer handed back.
 struct StreamContext {
   std::shared_ptr<Link> link;
+  Ref<ArvChunkParser> parser;  // null: no chunks
   std::atomic<ArvStream*> stream = nullptr;
 };
 void onStreamEvent(void* context, ArvStreamCallbackType type, ArvBuffer*) {
-  if (type != ARV_STREAM_CALLBACK_TYPE_BUFFER_DONE) return;
   const TimePoint arrival = Clock::now();
   auto& own = *static_cast<StreamContext*>(context);
   ArvStream* const stream = own.stream;
-  ArvBuffer* const buffer = stream == nullptr ? nullptr : arv_stream_try_pop_buffer(stream);
-  if (buffer == nullptr) return;
-  own.link->receive(buffer, arrival);
-  arv_stream_push_buffer(stream, buffer);
+  if (stream == nullptr) return;
+  if (type == ARV_STREAM_CALLBACK_TYPE_START_BUFFER) return own.link->beginFrame(stream);
+  if (type != ARV_STREAM_CALLBACK_TYPE_BUFFER_DONE) return;
+  while (ArvBuffer* const buffer = arv_stream_try_pop_buffer(stream)) {
+    own.link->receive(stream, own.parser.get(), buffer, arrival);
+    markAndPush(stream, buffer, own.link->announced.block);
+  }
 }
 
-void onControlLost(ArvDevice*, void* link) { (*static_cast<std::shared_ptr<Link>*>(link))->end(); }
+void onControlLost(ArvDevice*, void* link) {
+  (*static_cast<std::shared_ptr<Link>*>(link))->end(kGone);
+}
+
+// How a device's clock is read: GigE Vision by registers, USB3 Vision by features.
+struct ClockLatch {
+  std::uint64_t ticksPerSecond = 0;  // 0: by features, whose values are nanoseconds
+
+  bool trigger(ArvDevice* device) const {
+    GlibError error;
+    if (ticksPerSecond > 0) {
+      arv_device_write_register(device, kTimestampControl, kLatch, error.out());
+    } else {
+      arv_device_execute_command(device, "TimestampLatch", error.out());
+    }
+    return !error;
+  }
+  std::optional<std::int64_t> nanoseconds(ArvDevice* device) const {
+    GlibError error;
+    if (ticksPerSecond == 0) {
+      const gint64 ns =
+          arv_device_get_integer_feature_value(device, "TimestampLatchValue", error.out());
+      return error ? std::nullopt : std::optional<std::int64_t>(ns);
+    }
+    std::array<std::uint8_t, 8> latched{};
+    arv_device_read_memory(device, kTimestampLatched, latched.size(), latched.data(), error.out());
+    if (error) return std::nullopt;
+    std::uint64_t ticks = 0;
+    for (const std::uint8_t byte : latched) ticks = ticks << 8 | byte;
+    // As Aravis turns ticks to nanoseconds.
+    return static_cast<std::int64_t>(ticks / ticksPerSecond * 1'000'000'000 +
+                                     ticks % ticksPerSecond * 1'000'000'000 / ticksPerSecond);
+  }
+};
 
 // Latches the device's clock between two readings of ours and keeps the quickest of `repeats`.
 // False if the device cannot do it, or does not answer.
-bool compareByLatch(ArvDevice* device, Link& link, std::uint64_t ticksPerSecond, int repeats) {
+bool compareByLatch(ArvDevice* device, Link& link, const ClockLatch& latch, int repeats) {
   std::optional<Duration> shortest;
   TimePoint host;
-  std::uint64_t ticks = 0;
+  std::int64_t ns = 0;
   for (int i = 0; i < repeats; ++i) {
-    GlibError error;
-    std::array<std::uint8_t, 8> latched{};
     const TimePoint before = Clock::now();
-    if (!arv_device_write_register(device, kTimestampControl, kLatch, error.out())) return false;
+    if (!latch.trigger(device)) return false;
     const TimePoint after = Clock::now();
-    if (!arv_device_read_memory(device, kTimestampLatched, latched.size(), latched.data(),
-                                error.out())) {
-      return false;
-    }
+    const auto latched = latch.nanoseconds(device);
+    if (!latched) return false;
     if (shortest && after - before >= *shortest) continue;
     shortest = after - before;
     host = before + *shortest / 2;
-    ticks = 0;
-    for (const std::uint8_t byte : latched) ticks = ticks << 8 | byte;
+    ns = *latched;
   }
-  // As Aravis turns ticks to nanoseconds.
-  const std::uint64_t ns = ticks / ticksPerSecond * 1'000'000'000 +
-                           ticks % ticksPerSecond * 1'000'000'000 / ticksPerSecond;
   // The latch fell anywhere within the round trip: a uniform distribution's sigma.
   const Duration sigma = fromSeconds(toSeconds(*shortest) / (2 * std::numbers::sqrt3));
   const std::lock_guard lock(link.mutex);
-  link.clock.add(static_cast<std::int64_t>(ns), host, sigma);
+  link.compared(ns, host, sigma);
   return true;
 }
 
-// Keeps the clocks compared and notices early when a GigE camera is gone: Aravis alone needs 6 to
-// 10 s. A camera that is silent for as long as its heartbeat allows has dropped us anyway.
+// Keeps the clocks compared and notices early when a camera is gone: Aravis alone needs 6 to 10 s
+// for GigE. A camera that is silent for as long as its heartbeat allows has dropped us anyway; one
+// that answers and sends nothing has to be started again.
 void watch(std::stop_token stop, ArvDevice* device, Link& link, const std::string& target,
-           std::uint64_t ticksPerSecond) {
+           const ClockLatch& latch) {
   std::mutex mutex;
   std::condition_variable_any wake;
   std::unique_lock lock(mutex);
   while (!wake.wait_for(lock, stop, kWatchInterval, [&] { return stop.stop_requested(); })) {
-    if (isIpv4Address(target) && probeCameras({&target, 1}, kHeartbeat).empty()) return link.end();
-    if (ticksPerSecond > 0) compareByLatch(device, link, ticksPerSecond, kComparisons);
+    if (isIpv4Address(target) && probeCameras({&target, 1}, kHeartbeat).empty()) {
+      return link.end(kGone);
+    }
+    bool latched, silent;
+    {
+      const std::lock_guard linkLock(link.mutex);
+      latched = link.latched;
+      silent = !link.announced.triggered &&
+               Clock::now() - link.lastArrival >
+                   kSilence + 2 * fromSeconds(link.exposures.current().seconds);
+    }
+    if (silent) return link.end("the camera answers, but sends no frames any more");
+    // The feature tree is not ours alone; there is another time.
+    std::unique_lock control(link.control, std::defer_lock);
+    if (latched && (latch.ticksPerSecond > 0 || control.try_lock())) {
+      compareByLatch(device, link, latch, kComparisons);
+    }
   }
+}
+
+// What the system grants of a socket buffer, bytes.
+std::uint64_t grantedSocketBuffer() {
+  const int probe = ::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0);
+  if (probe < 0) return 0;
+  int size = kSocketBufferBytes;
+  socklen_t length = sizeof size;
+  ::setsockopt(probe, SOL_SOCKET, SO_RCVBUF, &size, length);
+  ::getsockopt(probe, SOL_SOCKET, SO_RCVBUF, &size, &length);
+  ::close(probe);
+  return static_cast<std::uint64_t>(size) / 2;  // Linux counts its own bookkeeping twice
 }
 
 class AravisCamera final : public Camera {
@@ -288,6 +601,7 @@ class AravisCamera final : public Camera {
         device(), "control-lost", G_CALLBACK(onControlLost), new std::shared_ptr<Link>(link_),
         [](void* link, GClosure*) { delete static_cast<std::shared_ptr<Link>*>(link); },
         GConnectFlags{});
+    setUp();
   }
 
   ~AravisCamera() override {
@@ -301,6 +615,7 @@ class AravisCamera final : public Camera {
   Result<void> start(FrameCallback onFrame, EndCallback onEnd) override;
   void stop() override;
   StreamStatistics statistics() const override;
+  std::vector<std::string> notes() const override;
   bool hasFeature(const std::string& name) const override;
   Result<void> setFeature(const std::string& name, double value) override;
 
@@ -334,11 +649,18 @@ class AravisCamera final : public Camera {
     }
   }
 
+  void setUp();
   Result<void> setFormat(PixelFormat format);
   Result<void> setRegion(const Region& wanted);
   Result<void> setExposure(std::optional<double> seconds, std::optional<double> gainDb);
   Result<void> setFrameRate(double framesPerSecond);
+  Result<void> setTrigger(const std::string& source);
   Result<CameraSettings> settings() const;
+  Result<Announced> announced() const;
+  Ref<ArvChunkParser> enableChunks();
+  bool available(const char* feature) const {
+    return arv_device_is_feature_available(device(), feature, nullptr) != FALSE;
+  }
   Result<ExposureSetting> exposure() const;
   void addPacketCounts(StreamStatistics& statistics, ArvStream* stream) const;
 
@@ -346,18 +668,37 @@ class AravisCamera final : public Camera {
   const CameraInfo info_;
   Ref<ArvCamera> camera_;
   const std::shared_ptr<Link> link_;
+  int packetBytes_ = 0;  // GigE Vision only, so is
+  std::uint64_t socketBuffer_ = 0;
   gulong controlLost_ = 0;
 
-  mutable std::mutex control_;  // Guards the feature tree, which Aravis does not, and stream_.
-  std::optional<Stream> stream_;
+  std::optional<Stream> stream_;  // Guarded by link_->control.
 };
 
+// What serves every stream.
+void AravisCamera::setUp() {
+  GlibError error;  // without any of this it works as well
+  if (arv_camera_is_gv_device(camera_.get())) {
+    // Fewer and larger packets where the network takes them.
+    packetBytes_ = static_cast<int>(arv_camera_gv_auto_packet_size(camera_.get(), error.out()));
+    socketBuffer_ = grantedSocketBuffer();
+  }
+  // A clock that follows others' is latched as any; but cameras then drift together.
+  for (const char* const feature : {"PtpEnable", "GevIEEE1588"}) {
+    if (available(feature)) arv_camera_set_boolean(camera_.get(), feature, TRUE, error.out());
+  }
+}
+
+// The plain kind of the format, or one of its packed ones where the camera has no other.
 Result<void> AravisCamera::setFormat(PixelFormat format) {
-  const std::string name(pixelFormatInfo(format).name);
   GlibError error;
-  arv_camera_set_pixel_format_from_string(camera_.get(), name.c_str(), error.out());
-  if (!error) return {};
-  const std::string reason(error.message());
+  std::string reason;
+  for (const WireFormat& wire : wireFormatsOf(format)) {
+    const std::string name(wire.name);
+    arv_camera_set_pixel_format_from_string(camera_.get(), name.c_str(), error.out());
+    if (!error) return {};
+    if (reason.empty()) reason = error.message();
+  }
   guint count = 0;
   const char** names =
       arv_camera_dup_available_pixel_formats_as_strings(camera_.get(), &count, error.out());
@@ -365,7 +706,7 @@ Result<void> AravisCamera::setFormat(PixelFormat format) {
   for (guint i = 0; i < count; ++i) offered += (i == 0 ? "" : ", ") + orEmpty(names[i]);
   g_free(names);
   return failure(ErrorCode::kInvalidArgument, "{}: cannot set pixel format {} ({}); it offers {}",
-                 info_.address, name, reason, offered);
+                 info_.address, pixelFormatInfo(format).name, reason, offered);
 }
 
 Result<void> AravisCamera::setRegion(const Region& wanted) {
@@ -459,6 +800,72 @@ Result<void> AravisCamera::setFrameRate(double framesPerSecond) {
   return {};
 }
 
+Result<void> AravisCamera::setTrigger(const std::string& source) {
+  GlibError error;
+  const auto set = [&](const char* feature, const char* value) {
+    if (!error) arv_camera_set_string(camera_.get(), feature, value, error.out());
+  };
+  if (!available("TriggerMode")) {
+    if (source.empty()) return {};
+    return failure(ErrorCode::kUnsupported, "{}: has no trigger; let it run freely", info_.address);
+  }
+  if (available("TriggerSelector")) set("TriggerSelector", "FrameStart");
+  set("TriggerMode", source.empty() ? "Off" : "On");
+  if (!source.empty()) {
+    set("TriggerSource", source.c_str());
+    if (available("TriggerActivation") && source != "Software") {
+      set("TriggerActivation", "RisingEdge");
+    }
+  }
+  if (!error) return {};
+  const std::string reason(error.message());
+  guint count = 0;
+  const char** names = arv_camera_dup_available_trigger_sources(camera_.get(), &count, error.out());
+  std::string offered;
+  for (guint i = 0; i < count; ++i) offered += (i == 0 ? "" : ", ") + orEmpty(names[i]);
+  g_free(names);
+  arv_camera_set_string(camera_.get(), "TriggerMode", "Off", error.out());
+  return failure(ErrorCode::kInvalidArgument, "{}: cannot wait for '{}' ({}); it offers {}",
+                 info_.address, source, reason, offered);
+}
+
+Result<Announced> AravisCamera::announced() const {
+  GlibError error;
+  Announced stream;
+  const ArvPixelFormat code = arv_camera_get_pixel_format(camera_.get(), error.out());
+  if (error) return failed("read the pixel format", error);
+  const auto format = wireFormatFromCode(code);
+  if (!format) {
+    return failure(ErrorCode::kUnsupported,
+                   "{}: sends pixel format {:#010x}, which is not supported; choose another, such "
+                   "as Mono8 or BayerRG12",
+                   info_.address, code);
+  }
+  stream.format = *format;
+  Region& region = stream.region;
+  arv_camera_get_region(camera_.get(), &region.x, &region.y, &region.width, &region.height,
+                        error.out());
+  if (error) return failed("read the region", error);
+  if (available("TriggerMode")) {
+    const char* const mode = arv_camera_get_string(camera_.get(), "TriggerMode", error.out());
+    stream.triggered = !error && orEmpty(mode) == "On";
+  }
+  if (packetBytes_ > 0) stream.block = static_cast<std::size_t>(packetBytes_) - kPacketHeaders;
+  return stream;
+}
+
+// Exposure, gain and checksum of each frame, as far as the camera has them.
+Ref<ArvChunkParser> AravisCamera::enableChunks() {
+  GlibError error;
+  if (!arv_camera_are_chunks_available(camera_.get(), error.out()) || error) return nullptr;
+  arv_camera_set_chunk_mode(camera_.get(), TRUE, error.out());
+  if (error) return nullptr;
+  for (const char* const chunk : kChunks) {
+    arv_camera_set_chunk_state(camera_.get(), chunk, TRUE, error.out());  // not all have all
+  }
+  return Ref<ArvChunkParser>(arv_camera_create_chunk_parser(camera_.get()));
+}
+
 Result<ExposureSetting> AravisCamera::exposure() const {
   GlibError error;
   ExposureSetting setting;
@@ -474,20 +881,12 @@ Result<ExposureSetting> AravisCamera::exposure() const {
 Result<CameraSettings> AravisCamera::settings() const {
   GlibError error;
   CameraSettings settings;
-  const ArvPixelFormat code = arv_camera_get_pixel_format(camera_.get(), error.out());
-  if (error) return failed("read the pixel format", error);
-  settings.format = pixelFormatFromCode(code);
-  if (!settings.format) {
-    return failure(ErrorCode::kUnsupported,
-                   "{}: sends pixel format {:#010x}, which is not supported; choose another, such "
-                   "as Mono8 or BayerRG12",
-                   info_.address, code);
-  }
-  Region region;
-  arv_camera_get_region(camera_.get(), &region.x, &region.y, &region.width, &region.height,
-                        error.out());
-  if (error) return failed("read the region", error);
-  settings.region = region;
+  ASSIGN_OR_RETURN(const Announced stream, announced());
+  settings.format = stream.format.format;
+  settings.region = stream.region;
+  settings.trigger =
+      stream.triggered ? orEmpty(arv_camera_get_trigger_source(camera_.get(), error.out())) : "";
+  if (error) return failed("read the trigger", error);
   ASSIGN_OR_RETURN(const ExposureSetting setting, exposure());
   settings.exposureSeconds = setting.seconds;
   settings.gainDb = setting.gainDb;
@@ -501,8 +900,8 @@ Result<CameraSettings> AravisCamera::settings() const {
 
 Result<CameraSettings> AravisCamera::configure(const CameraSettings& wanted) {
   RETURN_IF_ERROR(checkAlive());
-  const std::lock_guard lock(control_);
-  if (stream_ && (wanted.format || wanted.region || wanted.framesPerSecond)) {
+  const std::lock_guard lock(link_->control);
+  if (stream_ && (wanted.format || wanted.region || wanted.framesPerSecond || wanted.trigger)) {
     return failure(ErrorCode::kInvalidArgument,
                    "{}: only exposure and gain can change while streaming; stop the camera first",
                    info_.address);
@@ -513,63 +912,58 @@ Result<CameraSettings> AravisCamera::configure(const CameraSettings& wanted) {
     RETURN_IF_ERROR(setExposure(wanted.exposureSeconds, wanted.gainDb));
   }
   if (wanted.framesPerSecond) RETURN_IF_ERROR(setFrameRate(*wanted.framesPerSecond));
+  if (wanted.trigger) RETURN_IF_ERROR(setTrigger(*wanted.trigger));
   return settings();
 }
 
 Result<void> AravisCamera::start(FrameCallback onFrame, EndCallback onEnd) {
   RETURN_IF_ERROR(checkAlive());
-  const std::lock_guard lock(control_);
+  const std::lock_guard lock(link_->control);
   if (stream_) {
     return failure(ErrorCode::kInvalidArgument, "{}: streams already", info_.address);
   }
-  ASSIGN_OR_RETURN(const CameraSettings now, settings());
+  ASSIGN_OR_RETURN(const ExposureSetting setting, exposure());
   GlibError error;
   arv_camera_set_acquisition_mode(camera_.get(), ARV_ACQUISITION_MODE_CONTINUOUS, error.out());
   if (error) return failed("set continuous acquisition", error);
+  Ref<ArvChunkParser> parser = enableChunks();
+  ASSIGN_OR_RETURN(const Announced stream, announced());
+  link_->begin(stream, setting);
 
   // A first mapping of the clocks, before frames load the link.
   const bool gige = arv_camera_is_gv_device(camera_.get()) != FALSE;
-  std::uint64_t ticksPerSecond = 0;
+  ClockLatch latch;
   if (gige) {
-    ticksPerSecond =
+    latch.ticksPerSecond =
         arv_gv_device_get_timestamp_tick_frequency(ARV_GV_DEVICE(device()), error.out());
   }
-  {
+  if ((gige && latch.ticksPerSecond == 0) ||
+      !compareByLatch(device(), *link_, latch, kFirstComparisons)) {
     const std::lock_guard linkLock(link_->mutex);
-    link_->statistics = {};
-    link_->clock = {};
-    link_->exposures.reset({*now.exposureSeconds, *now.gainDb});
-    link_->warmedUp = false;
-    link_->lastId = 0;
-    link_->leastDelay.reset();
-    link_->windowBegin = 0;
-  }
-  const bool latched =
-      ticksPerSecond > 0 && compareByLatch(device(), *link_, ticksPerSecond, kFirstComparisons);
-  {
-    const std::lock_guard linkLock(link_->mutex);
-    link_->latched = latched;
+    link_->latched = false;
   }
 
   // The packet socket has a race that lets foreign packets in; the default buffer loses packets.
   if (gige) {
     arv_camera_gv_set_stream_options(camera_.get(), ARV_GV_STREAM_OPTION_PACKET_SOCKET_DISABLED);
   }
-  auto* const context = new StreamContext{link_};
-  Stream stream;
-  stream.stream.reset(arv_camera_create_stream_full(
+  auto* const context = new StreamContext{link_, std::move(parser)};
+  Stream running;
+  running.stream.reset(arv_camera_create_stream_full(
       camera_.get(), onStreamEvent, context,
       [](void* own) { delete static_cast<StreamContext*>(own); }, error.out()));
-  if (!stream.stream) return failed("open a stream", error);
-  context->stream = stream.stream.get();
+  if (!running.stream) return failed("open a stream", error);
+  context->stream = running.stream.get();
   if (gige) {
-    g_object_set(stream.stream.get(), "socket-buffer", ARV_GV_STREAM_SOCKET_BUFFER_FIXED,
+    g_object_set(running.stream.get(), "socket-buffer", ARV_GV_STREAM_SOCKET_BUFFER_FIXED,
                  "socket-buffer-size", kSocketBufferBytes, nullptr);
   }
   const guint payload = arv_camera_get_payload(camera_.get(), error.out());
   if (error) return failed("read the size of a frame", error);
-  for (int i = 0; i < kBuffers; ++i) {
-    arv_stream_push_buffer(stream.stream.get(), arv_buffer_new_allocate(payload));
+  // Frames wait for packets that are sent again while others begin.
+  const guint buffers = std::clamp(kBufferBytes / std::max(payload, 1u), kMinBuffers, kMaxBuffers);
+  for (guint i = 0; i < buffers; ++i) {
+    markAndPush(running.stream.get(), arv_buffer_new_allocate(payload), stream.block);
   }
 
   {
@@ -585,13 +979,11 @@ Result<void> AravisCamera::start(FrameCallback onFrame, EndCallback onEnd) {
     return failed("start", error);
   }
 
-  if (gige) {
-    stream.watch = std::jthread([own = device(), link = link_, target = target_,
-                                 ticks = latched ? ticksPerSecond : 0](std::stop_token stop) {
-      watch(stop, own, *link, target, ticks);
-    });
-  }
-  stream_ = std::move(stream);
+  running.watch =
+      std::jthread([own = device(), link = link_, target = target_, latch](std::stop_token stop) {
+        watch(stop, own, *link, target, latch);
+      });
+  stream_ = std::move(running);
   return {};
 }
 
@@ -601,7 +993,7 @@ void AravisCamera::stop() {
     link_->onFrame = nullptr;
     link_->onEnd = nullptr;
   }
-  const std::lock_guard lock(control_);
+  const std::lock_guard lock(link_->control);
   if (!stream_) return;
   stream_->watch.request_stop();
   const bool dead = !answers();
@@ -627,28 +1019,49 @@ void AravisCamera::addPacketCounts(StreamStatistics& statistics, ArvStream* stre
   statistics.packetsReceived = arv_stream_get_info_uint64_by_name(stream, "n_received_packets");
   statistics.packetsMissing = arv_stream_get_info_uint64_by_name(stream, "n_missing_packets");
   statistics.packetsResent = arv_stream_get_info_uint64_by_name(stream, "n_resent_packets");
+  statistics.packetBytes = packetBytes_;
+  statistics.socketBuffer = socketBuffer_;
 }
 
 StreamStatistics AravisCamera::statistics() const {
-  const std::lock_guard lock(control_);
+  const std::lock_guard lock(link_->control);
   const std::lock_guard linkLock(link_->mutex);
   StreamStatistics statistics = link_->statistics;
   if (stream_) addPacketCounts(statistics, stream_->stream.get());
   return statistics;
 }
 
+std::vector<std::string> AravisCamera::notes() const {
+  std::vector<std::string> notes;
+  if (socketBuffer_ != 0 && socketBuffer_ < kSocketBufferBytes) {
+    notes.push_back(fmt::format(
+        "{}: the system keeps its socket buffer at {} of {} KiB, so that a busy computer loses "
+        "packets; raise it with: sudo sysctl net.core.rmem_max={}",
+        info_.address, socketBuffer_ / 1024, kSocketBufferBytes / 1024, kSocketBufferBytes));
+  }
+  const std::lock_guard lock(link_->mutex);
+  if (link_->doubtSince && !link_->latched) {
+    notes.push_back(info_.address +
+                    ": the times of its frames are not of the clock that it shows; frames are "
+                    "timed by their arrival, good for some 2 ms");
+  }
+  return notes;
+}
+
 bool AravisCamera::hasFeature(const std::string& name) const {
-  const std::lock_guard lock(control_);
+  const std::lock_guard lock(link_->control);
   GlibError error;
   return arv_camera_is_feature_available(camera_.get(), name.c_str(), error.out()) != FALSE;
 }
 
 Result<void> AravisCamera::setFeature(const std::string& name, double value) {
   RETURN_IF_ERROR(checkAlive());
-  const std::lock_guard lock(control_);
+  const std::lock_guard lock(link_->control);
   GlibError error;
   ArvGcNode* const node = arv_device_get_feature(device(), name.c_str());
-  if (ARV_IS_GC_FLOAT(node)) {
+  if (ARV_IS_GC_COMMAND(node)) {
+    arv_camera_execute_command(camera_.get(), name.c_str(), error.out());
+  } else if (ARV_IS_GC_FLOAT(node)) {
     arv_camera_set_float(camera_.get(), name.c_str(), value, error.out());
   } else if (ARV_IS_GC_BOOLEAN(node)) {
     arv_camera_set_boolean(camera_.get(), name.c_str(), value != 0, error.out());

@@ -46,8 +46,10 @@ struct StreamStatistics {
   std::uint64_t packetsReceived = 0;  // 0 where the link has no packets
   std::uint64_t packetsMissing = 0;
   std::uint64_t packetsResent = 0;
-  std::uint64_t implausible = 0;  // whole frames withheld because a packet's place, a checksum or
-                                  // the time of exposure cannot be right
+  int packetBytes = 0;             // as negotiated with the camera
+  std::uint64_t socketBuffer = 0;  // bytes that the system really keeps for packets
+  std::uint64_t implausible = 0;   // whole frames withheld because a packet's place, a checksum or
+                                   // the time of exposure cannot be right
 };
 
 using FrameCallback = std::function<void(Frame&&)>;

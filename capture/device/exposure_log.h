@@ -14,6 +14,12 @@ struct ExposureSetting {
   double gainDb = 0;
 };
 
+// What a camera says of a frame itself (chunk data), where it can.
+struct ToldExposure {
+  std::optional<double> seconds;
+  std::optional<double> gainDb;
+};
+
 // Decides by the host time at which a frame's exposure started. Not thread-safe.
 class ExposureLog {
  public:
@@ -35,7 +41,12 @@ class ExposureLog {
     change_->after = Clock::now();
   }
   // Nothing: in doubt.
-  std::optional<ExposureSetting> of(TimePoint start, Duration sigma) {
+  std::optional<ExposureSetting> of(TimePoint start, Duration sigma,
+                                    const ToldExposure& told = {}) {
+    const bool gainKnown = told.gainDb || !change_ || change_->previous.gainDb == current_.gainDb;
+    if (told.seconds && gainKnown) {
+      return ExposureSetting{*told.seconds, told.gainDb.value_or(current_.gainDb)};
+    }
     if (!change_) return current_;
     const Duration margin = 3 * sigma + std::chrono::milliseconds(1);
     if (start + margin < change_->before) return change_->previous;

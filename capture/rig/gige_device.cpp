@@ -56,7 +56,8 @@ constexpr std::size_t kGvcpHeader = 8;
 constexpr std::size_t kMaxGvcpPayload = 540;
 constexpr std::size_t kGvspHeader = 8;
 constexpr std::uint32_t kPacketOverhead = 20 + 8 + kGvspHeader;  // IP, UDP, GVSP
-constexpr std::size_t kCachedFrames = 4;
+constexpr std::size_t kCachedFrames = 16;
+constexpr std::size_t kBurstUnit = 1400;
 constexpr auto kBurstPause = std::chrono::microseconds(500);
 constexpr std::size_t kStampDigits = 16;  // of the index, and again of the checksum
 constexpr auto kPtpLocks = std::chrono::milliseconds(300);  // after it was enabled
@@ -609,7 +610,7 @@ void GigeDevice::State::afterWrite(std::uint32_t address, const sockaddr_in& fro
       const std::uint32_t value = get32(registers, kStreamPacketSize);
       put32(registers, kStreamPacketSize, value & 0x7fffffff);
       if ((value & 0x80000000) != 0) {
-        sendTo(gvsp, Bytes((value & 0xffff) - 28, 0), streamDestination());
+        sendPacket(Bytes((value & 0xffff) - 28, 0), streamDestination());
       }
       break;
     }
@@ -828,6 +829,7 @@ void GigeDevice::State::exposeAndSend(Snapshot shot, TimePoint exposureStart,
 }
 
 void GigeDevice::State::sendPacket(const Bytes& packet, const sockaddr_in& to) {
+  if (packet.size() + 28 > static_cast<std::size_t>(options.mtu)) return;
   if (!options.link || options.link->pass(packet.size() + kPacketOverhead)) {
     sendTo(gvsp, packet, to);
   }
@@ -849,7 +851,7 @@ void GigeDevice::State::damage(const GigeFaults& now, bool leader, Bytes& packet
   if (chosen(now.corruptedPayload) && !leader && packet.size() > kGvspHeader + 8) {
     flip(kGvspHeader + below(packet.size() - kGvspHeader));
   }
-  if (chosen(now.corruptedLength)) packet.resize(8 + below(2 * packet.size()), 0xa5);
+  if (chosen(now.corruptedLength)) packet.resize((8 + below(2 * packet.size())) / 4 * 4, 0xa5);
 }
 
 void GigeDevice::State::send(std::shared_ptr<const SentFrame> frame, std::stop_token stop) {
@@ -879,9 +881,11 @@ void GigeDevice::State::send(std::shared_ptr<const SentFrame> frame, std::stop_t
     });
   };
   Bytes packet;
+  std::size_t burst = 0;
   TimePoint due = Clock::now();
   for (std::uint32_t i = 0; i < count && !stop.stop_requested(); ++i) {
-    if (i > 0 && i % static_cast<std::uint32_t>(options.packetsPerBurst) == 0) {
+    if (burst >= static_cast<std::size_t>(options.packetsPerBurst) * kBurstUnit) {
+      burst = 0;
       // Oversleeping is made up for, but never by more than one burst at once.
       due = std::max(due + kBurstPause, Clock::now() - kBurstPause);
       std::this_thread::sleep_until(due);
@@ -892,6 +896,7 @@ void GigeDevice::State::send(std::shared_ptr<const SentFrame> frame, std::stop_t
     }
     if (chosen(now.loss)) continue;
     frame->packet(i, kSuccess, packet);
+    burst += packet.size();
     damage(now, i == 0, packet);
     if (chosen(now.duplicated)) sendPacket(packet, frame->destination);
     if (chosen(now.reordered)) {

@@ -78,7 +78,7 @@ struct GigeFaults {
   double reordered = 0;         // sent after up to eight others
   double corruptedHeader = 0;   // one bit of the GVSP header or of the leader flipped, but none of
                                 // the time of exposure
-  double corruptedLength = 0;   // cut short, or longer
+  double corruptedLength = 0;   // cut short, or longer; GVSP has only multiples of four
   double corruptedPayload = 0;  // one bit of the picture flipped
   double stalled = 0;           // of frames: nothing is sent for stallSeconds in their middle
   double stallSeconds = 0;
@@ -100,8 +100,9 @@ struct GigeDeviceOptions {
   double clockDriftPpm = 0;
   bool timestampLatch = true;      // false: like cameras that cannot be asked for their time
   std::uint16_t firstFrameId = 1;  // of every acquisition; ids are 16 bits wide and wrap 65535 -> 1
-  int packetsPerBurst = 24;        // pacing: this many packets, then a pause of 0.5 ms, so that a
-                                   // default socket buffer (208 KiB) keeps up
+  int packetsPerBurst = 24;        // pacing: so many times 1400 bytes, then a pause of 0.5 ms, so
+                                   // that a default socket buffer (208 KiB) keeps up
+  int mtu = 1500;                  // of the way to the host: larger packets get lost
   GigeFaults faults;               // at first; setFaults changes them
   std::shared_ptr<SlowLink> link;  // null: a link of one's own, fast enough
   std::uint32_t seed = 1;
