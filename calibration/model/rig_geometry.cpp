@@ -55,6 +55,12 @@ Result<CameraPose> cameraFromJson(const Json& json, std::string_view where) {
 
 }  // namespace
 
+Eigen::Isometry3d uprightAtSubject() {
+  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
+  pose.linear() = Eigen::Vector3d(-1, -1, 1).asDiagonal();
+  return pose;
+}
+
 Json rigGeometryToJson(const RigGeometry& rig) {
   Json sources = Json::array();
   for (const auto& camera : rig.sourceCameras) sources.push_back(cameraToJson(camera));

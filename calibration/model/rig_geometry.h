@@ -31,6 +31,10 @@ struct RigGeometry {
   std::optional<double> lampRadiusMetres;
 };
 
+// Where a source camera is taken to be that nothing is known of: at the subject, looking at the
+// viewer, its picture's top up. Its x points left in the scene frame.
+Eigen::Isometry3d uprightAtSubject();
+
 // JSON, "format": "lightsketch-rig", "formatVersion": 1; a pose is {"rotation": [9, row-major],
 // "translationMetres": [3]}, with "covariance": [36] where known. Refuses rotations that are not
 // orthonormal to 1e-6.

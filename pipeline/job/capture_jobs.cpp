@@ -18,14 +18,6 @@
 namespace lightsketch {
 namespace {
 
-// A source camera at the subject that looks at the viewer, its picture's top up: its x points left
-// in the scene frame.
-Eigen::Isometry3d uprightAtSubject() {
-  Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
-  pose.linear() = Eigen::Vector3d(-1, -1, 1).asDiagonal();
-  return pose;
-}
-
 using namespace std::chrono_literals;
 
 constexpr auto kFirstPause = 500ms;

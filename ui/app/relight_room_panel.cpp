@@ -75,8 +75,7 @@ void RoomPanel::prepare() {
               "the source camera's lens is not calibrated; do that on the Calibrate page");
         }
         ASSIGN_OR_RETURN(const auto camera, loadAnyCameraModel(lens));
-        Eigen::Isometry3d pose = Eigen::Isometry3d::Identity();
-        pose.linear() = Eigen::Vector3d(-1, -1, 1).asDiagonal();
+        Eigen::Isometry3d pose = uprightAtSubject();
         if (!geometry.empty()) {
           ASSIGN_OR_RETURN(const auto rig, loadRigGeometry(geometry));
           if (!rig.sourceCameras.empty()) pose = rig.sourceCameras.front().sceneFromCamera;

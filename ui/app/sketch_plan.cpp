@@ -66,8 +66,7 @@ Result<void> planDirections(const SketchWish& wish, SketchPlan& plan) {
 Result<void> planPicture(const SketchWish& wish, SketchPlan& plan) {
   if (wish.sourceModel.empty() || !std::filesystem::exists(wish.sourceModel)) return {};
   ASSIGN_OR_RETURN(const auto model, loadCameraModel(wish.sourceModel));
-  Eigen::Isometry3d sceneFromSource = Eigen::Isometry3d::Identity();
-  sceneFromSource.linear() = Vector3d(-1, -1, 1).asDiagonal();  // as recordJob has it without a rig
+  Eigen::Isometry3d sceneFromSource = uprightAtSubject();
   std::optional<double> distance;
   if (!wish.rigGeometry.empty() && std::filesystem::exists(wish.rigGeometry)) {
     ASSIGN_OR_RETURN(const RigGeometry rig, loadRigGeometry(wish.rigGeometry));
