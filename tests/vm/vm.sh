@@ -10,7 +10,7 @@ set -euo pipefail
 folder=$1 scenario=$2
 shift 2
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
-modules=(virtio_pci virtio_blk ext4 vivid uvcvideo vhci-hcd)
+modules=(virtio_pci virtio_blk crc32c_generic ext4 vivid uvcvideo vhci-hcd)
 
 skip() {
   echo "SKIPPED: $*"
@@ -52,7 +52,7 @@ build_image() {
     done
   done
   cp package/lib/modules/"$release"/modules.{order,builtin} "root/lib/modules/$release/"
-  depmod -b root "$release"
+  depmod -b root "$release" 2>/dev/null  # warns of lists that nobody asks for
   (cd root && find . | cpio -o -H newc --quiet) >base.cpio
   rm -rf package root
 }
@@ -72,14 +72,15 @@ mkdir -p "$folder/image"
 own=$folder/$scenario
 rm -rf "$own"
 mkdir -p "$own/root/bin"
-cp "$here/init" "$own/root/init"
+ln -s "$here/init" "$own/root/init"
 for program in "$@"; do
-  cp "$program" "$own/root/bin/"
+  ln -s "$program" "$own/root/bin/"
   ldd "$program" 2>/dev/null | grep -o '/[^ ]*' | while read -r library; do
-    install -D "$library" "$own/root$library"
+    mkdir -p "$own/root${library%/*}"
+    ln -sf "$library" "$own/root$library"
   done
 done
-(cd "$own/root" && find . | cpio -o -H newc --quiet) | cat "$folder/image/base.cpio" - >"$own/initrd"
+(cd "$own/root" && find . | cpio -o -L -H newc --quiet) | cat "$folder/image/base.cpio" - >"$own/initrd"
 rm -rf "$own/root"
 
 # shellcheck disable=SC2086
