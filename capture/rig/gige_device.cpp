@@ -59,7 +59,7 @@ constexpr std::uint32_t kPacketOverhead = 20 + 8 + kGvspHeader;  // IP, UDP, GVS
 constexpr std::size_t kCachedFrames = 16;
 constexpr std::size_t kBurstUnit = 1400;
 constexpr auto kBurstPause = std::chrono::microseconds(500);
-constexpr std::size_t kStampDigits = 16;  // of the index, and again of the checksum
+constexpr std::size_t kStampDigits = 48;
 constexpr auto kPtpLocks = std::chrono::milliseconds(300);  // after it was enabled
 constexpr int kPollMilliseconds = 50;  // how long the destructor may wait for the control thread
 
@@ -195,13 +195,14 @@ std::uint8_t hexDigit(char digit) {
 }
 std::size_t stampStep(PixelFormat format) { return pixelFormatInfo(format).bits > 8 ? 2 : 1; }
 
-// See stampedIndex.
+// See readStamp.
 void stampFrame(const ExposureRequest& request, Bytes& image) {
   const std::size_t step = stampStep(request.format);
-  const std::size_t size = 2 * kStampDigits * step;
+  const std::size_t size = kStampDigits * step;
   if (image.size() < size) return;
   const std::string digits =
-      fmt::format("{:016x}", request.index) + checksum(std::as_bytes(View(image).subspan(size)));
+      fmt::format("{:016x}{:016x}", request.index, std::llround(1e9 * request.timeSeconds)) +
+      checksum(std::as_bytes(View(image).subspan(size)));
   std::fill_n(image.begin(), size, std::uint8_t{0});
   for (std::size_t i = 0; i < digits.size(); ++i) image[i * step] = hexDigit(digits[i]);
 }
@@ -950,21 +951,21 @@ bool SlowLink::pass(std::size_t bytes) {
   return true;
 }
 
-std::optional<std::uint64_t> stampedIndex(std::span<const std::uint8_t> bytes, PixelFormat format) {
+std::optional<FrameStamp> readStamp(std::span<const std::uint8_t> bytes, PixelFormat format) {
   const std::size_t step = stampStep(format);
-  if (bytes.size() < 2 * kStampDigits * step) return std::nullopt;
-  const std::string expected = checksum(std::as_bytes(bytes.subspan(2 * kStampDigits * step)));
-  std::uint64_t index = 0;
-  for (std::size_t i = 0; i < 2 * kStampDigits; ++i) {
+  if (bytes.size() < kStampDigits * step) return std::nullopt;
+  const std::string sum = checksum(std::as_bytes(bytes.subspan(kStampDigits * step)));
+  std::array<std::uint64_t, 2> values{};
+  for (std::size_t i = 0; i < kStampDigits; ++i) {
     const std::uint8_t digit = bytes[i * step];
     if (digit > 15 || (step == 2 && bytes[i * step + 1] != 0)) return std::nullopt;
-    if (i < kStampDigits) {
-      index = index << 4 | digit;
-    } else if (digit != hexDigit(expected[i - kStampDigits])) {
+    if (i < 32) {
+      values[i / 16] = values[i / 16] << 4 | digit;
+    } else if (digit != hexDigit(sum[i - 32])) {
       return std::nullopt;
     }
   }
-  return index;
+  return FrameStamp{values[0], 1e-9 * static_cast<double>(values[1])};
 }
 
 std::uint16_t crc16(View bytes) {

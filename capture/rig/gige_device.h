@@ -110,7 +110,7 @@ struct GigeDeviceOptions {
   bool packedFormats = false;              // offers the packed kinds of the source's formats, too
   bool chunks = false;                     // exposure, gain, time and CRC with every frame
   bool ptp = false;                        // a clock that can follow others'
-  bool stamp = false;                      // frames begin with a stamp, see stampedIndex
+  bool stamp = false;                      // frames begin with a stamp, see readStamp
 };
 
 // Runs on threads of its own from start() to destruction: one answers GVCP, one exposes and sends,
@@ -136,10 +136,14 @@ class GigeDevice {
   std::unique_ptr<State> state_;
 };
 
-// Which frame of its camera (ExposureRequest::index) a stamped frame is; nothing if one bit of it
-// is not as it was sent. The stamp takes the first 32 samples: index and checksum of the rest, four
-// bits each.
-std::optional<std::uint64_t> stampedIndex(std::span<const std::uint8_t> bytes, PixelFormat format);
+// What a stamped frame says of itself, in its first 48 samples, four bits each: its index and time
+// of mid-exposure (ExposureRequest), and a checksum of all the rest.
+struct FrameStamp {
+  std::uint64_t index = 0;
+  double timeSeconds = 0;
+};
+// Nothing if one bit of the frame is not as it was sent.
+std::optional<FrameStamp> readStamp(std::span<const std::uint8_t> bytes, PixelFormat format);
 
 // Basler's PayloadCRC16: CRC-16/XMODEM (polynomial 0x1021, initially 0).
 std::uint16_t crc16(std::span<const std::uint8_t> bytes);

@@ -192,7 +192,8 @@ struct SimulatedRig::State {
   std::vector<Source> sources;
   std::vector<std::unique_ptr<FrameSource>> served;  // what stands between views and devices
   // Destroyed first: their threads call the views.
-  std::vector<std::unique_ptr<GigeDevice>> devices;
+  std::vector<std::unique_ptr<GigeDevice>> devices;  // null: unplugged
+  std::vector<GigeDeviceOptions> deviceOptions;
 
   double now() const { return toSeconds(Clock::now() - startTime); }
   HandOptions handOptions() const {
@@ -219,6 +220,7 @@ Result<void> SimulatedRig::State::serve(FrameSource& view, GigeDeviceOptions dev
   device.seed = options.seed + static_cast<std::uint32_t>(devices.size());
   ASSIGN_OR_RETURN(auto started, GigeDevice::start(*served.back(), device, startTime));
   devices.push_back(std::move(started));
+  deviceOptions.push_back(device);
   return {};
 }
 
@@ -285,6 +287,7 @@ Result<std::unique_ptr<SimulatedRig>> SimulatedRig::start(const SimulatedRigOpti
   scene.defaultExposureSeconds = kSceneExposureSeconds;
   scene.clockOffsetSeconds = 12.3;
   scene.clockDriftPpm = 40;
+  scene.stamp = options.stampFrames;
   RETURN_IF_ERROR(s.serve(*s.sceneView, scene));
   for (const State::Source& source : s.sources) {
     const bool first = &source == &s.sources.front();
@@ -428,8 +431,22 @@ double SimulatedRig::sceneFocalLengthPixels() const {
 
 std::uint64_t SimulatedRig::framesSent() const {
   std::uint64_t sent = 0;
-  for (const auto& device : state_->devices) sent += device->framesSent();
+  for (const auto& device : state_->devices) sent += device ? device->framesSent() : 0;
   return sent;
+}
+
+void SimulatedRig::setFaults(std::size_t camera, const GigeFaults& faults) {
+  if (const auto& device = state_->devices.at(camera)) device->setFaults(faults);
+}
+
+void SimulatedRig::unplug(std::size_t camera) { state_->devices.at(camera).reset(); }
+
+Result<void> SimulatedRig::plugIn(std::size_t camera) {
+  if (state_->devices.at(camera)) return {};
+  ASSIGN_OR_RETURN(
+      state_->devices[camera],
+      GigeDevice::start(*state_->served[camera], state_->deviceOptions[camera], state_->startTime));
+  return {};
 }
 
 }  // namespace lightsketch

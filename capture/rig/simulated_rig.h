@@ -45,6 +45,7 @@ struct SimulatedRigOptions {
   // A matte white patch stands at the edge of the built-in still life.
   bool referencePatch = false;
   SensorFlaws sceneFlaws, sourceFlaws;
+  bool stampFrames = false;  // the scene camera's, see readStamp
 };
 
 // A rectangle of the scene camera's picture, wholly on the face of the reference patch.
@@ -122,6 +123,11 @@ class SimulatedRig {
   double sceneFocalLengthPixels() const;
   // Of all cameras together.
   std::uint64_t framesSent() const;
+  // What goes wrong with a camera: 0 the scene camera, then the source cameras.
+  void setFaults(std::size_t camera, const GigeFaults& faults);
+  void unplug(std::size_t camera);
+  // Fails if somebody has taken its address meanwhile.
+  Result<void> plugIn(std::size_t camera);
 
  private:
   struct State;

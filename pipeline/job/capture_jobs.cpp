@@ -4,6 +4,7 @@
 #include <chrono>
 #include <cmath>
 #include <future>
+#include <set>
 #include <span>
 #include <thread>
 #include <utility>
@@ -44,7 +45,10 @@ StreamStatistics sum(const StreamStatistics& a, const StreamStatistics& b) {
           a.underruns + b.underruns,
           a.packetsReceived + b.packetsReceived,
           a.packetsMissing + b.packetsMissing,
-          a.packetsResent + b.packetsResent};
+          a.packetsResent + b.packetsResent,
+          std::max(a.packetBytes, b.packetBytes),
+          std::max(a.socketBuffer, b.socketBuffer),
+          a.implausible + b.implausible};
 }
 
 // Recorder summaries and states name these alike.
@@ -122,6 +126,16 @@ class Reconnecting {
   Result<RecorderSummary> recordOnce() {
     ASSIGN_OR_RETURN(const Cameras cameras, openCameras());
     last_.waitingFor.clear();
+    for (const auto& camera : cameras) {
+      if (!job_.trigger.empty()) {
+        CameraSettings wish;
+        wish.trigger = job_.trigger;
+        if (auto set = camera->configure(wish); !set) return tl::unexpected(set.error());
+      }
+      for (const std::string& note : camera->notes()) {
+        if (said_.insert(note).second) progress_.warn(note);
+      }
+    }
     std::vector<SourceCamera> sources;
     for (std::size_t i = 1; i < cameras.size(); ++i) {
       sources.push_back({*cameras[i], models_[i - 1]});
@@ -193,7 +207,8 @@ class Reconnecting {
   const std::function<void(const RecorderState&)>& onState_;
   RecorderControl own_;
   RecorderControl& control_;
-  RecorderSummary before_;  // of the parts so far
+  std::set<std::string> said_;  // of the cameras' notes
+  RecorderSummary before_;      // of the parts so far
   RecorderState last_;
   TimePoint lostSince_ = Clock::now();
   std::uint64_t deliveredBefore_ = 0;
@@ -220,10 +235,14 @@ JobResult resultOf(const RecordJob& job, const RecorderSummary& summary) {
   const auto linkToJson = [](const StreamStatistics& link) {
     return Json{{"delivered", link.delivered},
                 {"incomplete", link.incomplete},
+                {"implausible", link.implausible},
+                {"skipped", link.skipped},
                 {"lost", link.lost},
                 {"packetsReceived", link.packetsReceived},
                 {"packetsMissing", link.packetsMissing},
-                {"packetsResent", link.packetsResent}};
+                {"packetsResent", link.packetsResent},
+                {"packetBytes", link.packetBytes},
+                {"socketBuffer", link.socketBuffer}};
   };
   Json sources = Json::array();
   for (const StreamStatistics& link : summary.sources) sources.push_back(linkToJson(link));

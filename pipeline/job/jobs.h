@@ -56,6 +56,8 @@ struct RecordJob {
   // Lost cameras are opened again, after 0.5 s, 1 s, ... 8 s, for at most so long at a stretch, and
   // the sketch is gone on with. 0: the recording ends.
   double reconnectSeconds = 0;
+  // What starts the exposures of all cameras, such as "Line1"; empty: they run freely.
+  std::string trigger;
   // Called on a thread of its own; an attempt that `stop` did not want to wait for may still be in
   // it when recordJob has returned, so what it captures must be its own.
   CameraOpener open = openCamera;
