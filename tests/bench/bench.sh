@@ -24,6 +24,8 @@ usage() {
 ./run bench engine      compressing, drawing, loading against this machine's limits, and growth (lightsketch bench)
 ./run bench compress    the paper's job on a set with shadows and highlights; [quick]
 ./run bench quality     quality per byte: the paper, PCA, PTM, HSH, SH and our own sizes; [--quick] [--plot FILE.svg]
+./run bench faults      the fault matrix: every test of a fault, what was put in, what came of it
+./run bench soak        the simulated rig with a fault every few seconds; [--minutes M] [--seed S]
 ./run bench light       light that changes every frame: a turned environment, a room camera, sized lamps
 ./run bench bad_frames  faults put into good sets: how many are found, and how many others
 TEXT
@@ -135,7 +137,8 @@ case "${1:-}" in
     trap '[ -z "$rig" ] || kill $rig 2>/dev/null; rm -rf "$work"' EXIT
     case $1 in kill) kill_recording ;; *) "$1" ;; esac
     ;;
-  lens | boards | radiometry | response | chain | recording | compress | quality | bad_frames) bench_program "$@" ;;
+  lens | boards | radiometry | response | chain | recording | compress | quality | bad_frames | soak) bench_program "$@" ;;
+  faults) exec "$root/tests/bench/faults.sh" ;;
   ball) bench_program mirror_ball ;;
   light) bench_program illumination ;;
   engine) shift && exec "$program" bench "$@" ;;

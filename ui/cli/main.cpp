@@ -317,12 +317,16 @@ struct Commands {
                       "keep the sensor's own counts beside each frame (frames/000123.raw.png)");
     command->add_flag("!--keep-ambient", recorder.subtractAmbient,
                       "keep the ambient light in the frames, and its picture beside them");
+    record_.reconnectSeconds = 60;
     command
         ->add_option("--reconnect", record_.reconnectSeconds,
                      "wait this many seconds for a camera that was lost, and go on; 0: end")
         ->type_name("SECONDS")
         ->check(CLI::NonNegativeNumber)
         ->capture_default_str();
+    command->add_option("--trigger", record_.trigger,
+                        "input of the cameras that starts each exposure, such as Line1; without "
+                        "it they run freely");
     addRigOptions(*command, record_.simulatedRig);
     command->callback([this] {
       action = [this](ProgressBar& bar, const std::stop_token& stop) {
