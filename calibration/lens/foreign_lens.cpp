@@ -387,8 +387,8 @@ Result<std::map<std::string, std::string>> openCvLeaves(const std::string& text,
         }
       }
     }
-  } catch (const cv::Exception& error) {
-    return failure(ErrorCode::kCorrupt, "{}: OpenCV cannot read it: {}", where, error.err);
+  } catch (const std::exception& error) {  // cv::Exception, and what its parser runs into
+    return failure(ErrorCode::kCorrupt, "{}: OpenCV cannot read it: {}", where, error.what());
   }
   return leaves;
 }

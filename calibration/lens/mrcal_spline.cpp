@@ -33,6 +33,17 @@ std::optional<Vector2d> projectBy(const mrcal_lensmodel_t& model, const double* 
   return pixel;
 }
 
+// mrcal ends the program where it reads a spline of another order, and believes any size.
+bool isUsable(const std::string& name) {
+  mrcal_lensmodel_t model{};
+  if (!mrcal_lensmodel_from_name(&model, name.c_str())) return false;
+  if (model.type != MRCAL_LENSMODEL_SPLINED_STEREOGRAPHIC) return true;
+  const auto& spline = model.LENSMODEL_SPLINED_STEREOGRAPHIC__config;
+  return (spline.order == 2 || spline.order == 3) && spline.Nx > spline.order && spline.Nx <= 400 &&
+         spline.Ny > spline.order && spline.Ny <= 400 && spline.fov_x_deg > 0 &&
+         spline.fov_x_deg < 360;
+}
+
 }  // namespace
 
 std::string SplinedLens::name() const {
@@ -175,12 +186,13 @@ std::vector<Vector2d> coveredPolygon(const FisheyeModel& model) {
 
 Result<MrcalLens> parseCameraModel(const std::string& text, const std::string& where) {
   // mrcal prints what it does not know; ask first.
-  const std::size_t begin = std::min(text.find("LENSMODEL_"), text.size());
-  const std::string said = text.substr(begin, text.find_first_of("'\"", begin) - begin);
-  mrcal_lensmodel_t known{};
-  if (!mrcal_lensmodel_from_name(&known, said.c_str())) {
-    return failure(ErrorCode::kUnsupported, "{}: mrcal knows no lens '{}'", where,
-                   said.substr(0, 80));
+  for (std::size_t begin = text.find("LENSMODEL_"); begin != text.npos;
+       begin = text.find("LENSMODEL_", begin + 1)) {
+    const std::string said = text.substr(begin, text.find_first_of("'\"", begin) - begin);
+    if (!isUsable(said)) {
+      return failure(ErrorCode::kUnsupported, "{}: mrcal knows no lens '{}'", where,
+                     said.substr(0, 80));
+    }
   }
   // Its reader runs past the end of a text that stops inside quotes; these close any.
   const std::string closed = text + "\n#'\"\n";

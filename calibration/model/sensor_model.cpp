@@ -66,12 +66,11 @@ Result<SensorModel> sensorModelFromJson(const Json& json, std::string_view where
   for (const Json& entry : *hot) {
     ASSIGN_OR_RETURN(const auto place,
                      jsonVector(Json{{"hotPixels", entry}}, "hotPixels", 2, where));
-    const PixelPosition pixel{static_cast<int>(place[0]), static_cast<int>(place[1])};
     if (!(place[0] >= 0 && place[0] < sensor.width && place[1] >= 0 && place[1] < sensor.height)) {
       return failure(ErrorCode::kCorrupt, "{}: hot pixel ({}, {}) lies outside the picture", where,
                      place[0], place[1]);
     }
-    sensor.hotPixels.push_back(pixel);
+    sensor.hotPixels.push_back({static_cast<int>(place[0]), static_cast<int>(place[1])});
   }
   if (json.contains("flatField")) {
     ASSIGN_OR_RETURN(sensor.flatField, FlatField::fromJson(json["flatField"], where));

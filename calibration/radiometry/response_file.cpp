@@ -45,7 +45,9 @@ std::optional<double> parseSeconds(const std::string& text) {
   const auto above = number(std::string_view(text).substr(0, slash));
   const auto below = number(std::string_view(text).substr(slash + 1));
   if (!above || !below) return std::nullopt;
-  return *above / *below;
+  const double seconds = *above / *below;
+  if (!(seconds > 0) || !std::isfinite(seconds)) return std::nullopt;
+  return seconds;
 }
 
 struct NamedTime {

@@ -39,6 +39,8 @@ sockaddr_in gvcpAddress(const std::string& ipv4Address) {
   return address;
 }
 
+constexpr std::size_t kHeaderSize = 8;
+
 std::string toText(const in_addr& address) {
   std::array<char, INET_ADDRSTRLEN> text{};
   ::inet_ntop(AF_INET, &address, text.data(), text.size());
@@ -47,16 +49,36 @@ std::string toText(const in_addr& address) {
 
 }  // namespace
 
+std::optional<CameraInfo> parseDiscoveryAnswer(std::span<const std::uint8_t> answer,
+                                               const std::string& ipv4Address) {
+  // Status 0, answer 0x0003. The payload is the first 248 bytes of the bootstrap registers (GigE
+  // Vision 1.2, section 16.1).
+  constexpr std::size_t kPayloadSize = 0xf8;
+  if (answer.size() < kHeaderSize + kPayloadSize || answer[0] != 0 || answer[1] != 0 ||
+      answer[2] != 0 || answer[3] != 3) {
+    return std::nullopt;
+  }
+  const auto text = [&](std::size_t registerAddress, std::size_t maxSize) {
+    const char* begin =
+        reinterpret_cast<const char*>(answer.data()) + kHeaderSize + registerAddress;
+    std::string found(begin, ::strnlen(begin, maxSize));
+    // It goes to a terminal.
+    std::replace_if(
+        found.begin(), found.end(), [](char c) { return c < ' ' || c == 0x7f; }, '?');
+    return found;
+  };
+  return CameraInfo{"aravis:" + ipv4Address, text(0x48, 32), text(0x68, 32), text(0xd8, 16)};
+}
+
 bool isIpv4Address(const std::string& text) {
   in_addr address{};
   return ::inet_pton(AF_INET, text.c_str(), &address) == 1;
 }
 
 std::vector<CameraInfo> probeCameras(std::span<const std::string> ipv4Addresses, Duration timeout) {
-  // Discovery: key, flags (answer wanted), command 0x0002, no payload, request id. The answer's
-  // payload is the first 248 bytes of the bootstrap registers (GigE Vision 1.2, section 16.1).
-  static constexpr std::array<std::uint8_t, 8> kRequest = {0x42, 0x01, 0, 2, 0, 0, 0xff, 0xff};
-  constexpr std::size_t kAnswerSize = 8 + 0xf8;
+  // Discovery: key, flags (answer wanted), command 0x0002, no payload, request id.
+  static constexpr std::array<std::uint8_t, kHeaderSize> kRequest = {0x42, 0x01, 0,    2,
+                                                                     0,    0,    0xff, 0xff};
   std::vector<CameraInfo> found;
   const Socket socket;
   const TimePoint end = Clock::now() + timeout;
@@ -76,20 +98,14 @@ std::vector<CameraInfo> probeCameras(std::span<const std::string> ipv4Addresses,
       socklen_t length = sizeof from;
       const ssize_t size = ::recvfrom(socket.fd(), answer.data(), answer.size(), MSG_DONTWAIT,
                                       reinterpret_cast<sockaddr*>(&from), &length);
-      if (size < static_cast<ssize_t>(kAnswerSize) || answer[0] != 0 || answer[1] != 0 ||
-          answer[2] != 0 || answer[3] != 3) {
-        continue;
-      }
-      const auto text = [&](std::size_t registerAddress, std::size_t maxSize) {
-        const char* begin = reinterpret_cast<const char*>(answer.data()) + 8 + registerAddress;
-        return std::string(begin, ::strnlen(begin, maxSize));
-      };
-      CameraInfo info{"aravis:" + toText(from.sin_addr), text(0x48, 32), text(0x68, 32),
-                      text(0xd8, 16)};
+      if (size < 0) continue;
+      auto info = parseDiscoveryAnswer(std::span(answer).first(static_cast<std::size_t>(size)),
+                                       toText(from.sin_addr));
+      if (!info) continue;
       const bool known = std::any_of(found.begin(), found.end(), [&](const CameraInfo& other) {
-        return other.address == info.address;
+        return other.address == info->address;
       });
-      if (!known) found.push_back(std::move(info));
+      if (!known) found.push_back(std::move(*info));
     }
   }
   return found;

@@ -74,6 +74,24 @@ class MemoryInput final : public Imf::IStream {
   std::size_t position_ = 0;
 };
 
+// What a header may claim, checked by OpenEXR before it allocates anything. Tiles of real files
+// have up to 512 pixels a side.
+void limitOpenExr() {
+  static const bool once = [] {
+    Imf::Header::setMaxImageSize(kMaxSide, kMaxSide);
+    Imf::Header::setMaxTileSize(2048, 2048);
+    return true;
+  }();
+  (void)once;
+}
+
+// Whether so few bytes can hold so many pixels: a constant picture takes some forty bytes for 32
+// rows, noise two bytes a pixel. Small pictures are let through, whatever they are.
+bool plausible(std::int64_t pixels, std::size_t bytes) {
+  constexpr std::int64_t kHarmless = std::int64_t{1} << 24;
+  return pixels <= kHarmless || pixels / 16'384 <= static_cast<std::int64_t>(bytes);
+}
+
 Imf::Compression compressionOf(ExrOptions::Compression compression) {
   switch (compression) {
     case ExrOptions::Compression::kNone:
@@ -261,15 +279,17 @@ Result<std::string> encodeExr(const RadianceImage& image, const ExrOptions& opti
 
 Result<RadianceImage> decodeExr(std::string_view bytes, std::string_view where) {
   try {
+    limitOpenExr();
     MemoryInput stream(bytes);
     Imf::InputFile file(stream, 0);
     const auto& window = file.header().dataWindow();
     const std::int64_t width = std::int64_t{window.max.x} - window.min.x + 1;
     const std::int64_t height = std::int64_t{window.max.y} - window.min.y + 1;
     if (width < 1 || height < 1 || width > kMaxSide || height > kMaxSide ||
-        width * height > kMaxPixels) {
-      return failure(ErrorCode::kUnsupported, "{}: claims {} x {} pixels, more than are read here",
-                     where, width, height);
+        width * height > kMaxPixels || !plausible(width * height, bytes.size())) {
+      return failure(ErrorCode::kUnsupported,
+                     "{}: claims {} x {} pixels, more than are read here or than {} bytes hold",
+                     where, width, height, bytes.size());
     }
     const auto& channels = file.header().channels();
     const bool colour = channels.findChannel("R") != nullptr;
@@ -303,6 +323,24 @@ Result<RadianceImage> decodeExr(std::string_view bytes, std::string_view where) 
       }
     }
     return image;
+  } catch (const std::exception& error) {
+    return failure(ErrorCode::kCorrupt, "{}: damaged or not an EXR: {}", where, error.what());
+  }
+}
+
+Result<ExrOptions> readExrHeader(std::string_view bytes, std::string_view where) {
+  try {
+    limitOpenExr();
+    MemoryInput stream(bytes);
+    const Imf::InputFile file(stream, 0);
+    ExrOptions found;
+    for (auto it = file.header().begin(); it != file.header().end(); ++it) {
+      if (const auto* text = dynamic_cast<const Imf::StringAttribute*>(&it.attribute()))
+        found.attributes[it.name()] = text->value();
+      if (const auto* number = dynamic_cast<const Imf::DoubleAttribute*>(&it.attribute()))
+        found.numbers[it.name()] = number->value();
+    }
+    return found;
   } catch (const std::exception& error) {
     return failure(ErrorCode::kCorrupt, "{}: damaged or not an EXR: {}", where, error.what());
   }

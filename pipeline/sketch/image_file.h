@@ -35,6 +35,8 @@ Result<void> writeExr(const std::filesystem::path& path, const RadianceImage& im
 // of any type and refuses images larger than a camera makes before it allocates.
 Result<std::string> encodeExr(const RadianceImage& image, const ExrOptions& options = {});
 Result<RadianceImage> decodeExr(std::string_view bytes, std::string_view where);
+// The texts and numbers that encodeExr() put into the header, and any others of these kinds.
+Result<ExrOptions> readExrHeader(std::string_view bytes, std::string_view where);
 
 // 8-bit PNG, sRGB-encoded from linear RGB, clipped. Atomic.
 Result<void> writePng(const std::filesystem::path& path, const RadianceImage& image);

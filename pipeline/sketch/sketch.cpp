@@ -11,52 +11,20 @@
 #include <set>
 #include <utility>
 
+#include "capture/frame/descriptor.h"
 #include "capture/frame/file.h"
 #include "pipeline/sketch/image_file.h"
+#include "pipeline/sketch/sketch_files.h"
 
 namespace lightsketch {
 namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::string_view kFormat = "lightsketch-sketch";
-constexpr int kFormatVersion = 1;
-constexpr int kEventVersion = 1;
-constexpr std::int64_t kMaxSide = 1 << 16;
-constexpr std::int64_t kMaxPixels = std::int64_t{1} << 28;
-constexpr std::int64_t kMaxDirections = 1'000'000;
-constexpr std::int64_t kMaxFrames = 10'000'000;
-
-constexpr const char* kManifestFile = "sketch.json";
-constexpr const char* kRigFile = "rig.json";
-constexpr const char* kJournalFile = "frames.jsonl";
-constexpr const char* kFramesFolder = "frames";
-constexpr const char* kAmbientFile = "ambient.exr";
-constexpr const char* kLockFile = "lock";
-
 tl::unexpected<Error> systemFailure(int errorNumber, const char* what, const fs::path& path) {
   return failure(errorNumber == ENOENT ? ErrorCode::kNotFound : ErrorCode::kIo, "{}: cannot {}: {}",
                  path.string(), what, systemMessage(errorNumber));
 }
-
-class Descriptor {
- public:
-  Descriptor() = default;
-  explicit Descriptor(int fd) : fd_(fd) {}
-  ~Descriptor() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Descriptor(Descriptor&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
-  Descriptor& operator=(Descriptor&& other) noexcept {
-    std::swap(fd_, other.fd_);
-    return *this;
-  }
-  explicit operator bool() const { return fd_ >= 0; }
-  int get() const { return fd_; }
-
- private:
-  int fd_ = -1;
-};
 
 Result<void> syncPath(const fs::path& path) {
   const Descriptor file(::open(path.c_str(), O_RDONLY | O_CLOEXEC));
@@ -73,354 +41,34 @@ Result<void> writeUnsynced(const fs::path& path, std::string_view content) {
   return {};
 }
 
-// --- sketch.json ---------------------------------------------------------------------------------
-
-Json manifestToJson(const SketchManifest& manifest) {
-  const Json view = {{"projection", "perspective"},
-                     {"width", manifest.width},
-                     {"height", manifest.height},
-                     {"cameraModel", nullptr}};
-  return {{"format", kFormat},
-          {"formatVersion", kFormatVersion},
-          {"views", Json::array({view})},
-          {"grid",
-           {{"directions", manifest.directions},
-            {"domain", manifest.fullSphere ? "sphere" : "hemisphere"}}},
-          {"ambientSubtracted", manifest.ambientSubtracted},
-          {"software", manifest.software},
-          {"cameras", manifest.cameras},
-          {"provenance", manifest.provenance}};
-}
-
-Result<SketchManifest> manifestFromJson(const Json& json, std::string_view where) {
-  RETURN_IF_ERROR(checkFormat(json, kFormat, kFormatVersion, where));
-  SketchManifest manifest;
-  ASSIGN_OR_RETURN(const Json* views, jsonMember(json, "views", where));
-  if (!views->is_array() || views->size() != 1) {
-    return failure(ErrorCode::kUnsupported, "{}: field 'views' does not list exactly one view",
-                   where);
-  }
-  const Json& view = views->front();
-  ASSIGN_OR_RETURN(const auto projection, jsonString(view, "projection", where));
-  if (projection != "perspective") {
-    return failure(ErrorCode::kUnsupported, "{}: views of projection '{}' are not supported", where,
-                   projection);
-  }
-  ASSIGN_OR_RETURN(const auto width, jsonInteger(view, "width", where, 1, kMaxSide));
-  ASSIGN_OR_RETURN(const auto height, jsonInteger(view, "height", where, 1, kMaxSide));
-  if (width * height > kMaxPixels) {
-    return failure(ErrorCode::kUnsupported, "{}: {} x {} pixels are more than are read here", where,
-                   width, height);
-  }
-  manifest.width = static_cast<int>(width);
-  manifest.height = static_cast<int>(height);
-  ASSIGN_OR_RETURN(const Json* grid, jsonMember(json, "grid", where));
-  ASSIGN_OR_RETURN(const auto directions,
-                   jsonInteger(*grid, "directions", where, 0, kMaxDirections));
-  manifest.directions = static_cast<int>(directions);
-  ASSIGN_OR_RETURN(const auto domain, jsonString(*grid, "domain", where));
-  if (domain != "sphere" && domain != "hemisphere") {
-    return failure(ErrorCode::kCorrupt, "{}: field 'domain' is neither 'sphere' nor 'hemisphere'",
-                   where);
-  }
-  manifest.fullSphere = domain == "sphere";
-  ASSIGN_OR_RETURN(manifest.ambientSubtracted, jsonBool(json, "ambientSubtracted", where));
-  ASSIGN_OR_RETURN(manifest.software, jsonString(json, "software", where));
-  ASSIGN_OR_RETURN(const Json* cameras, jsonMember(json, "cameras", where));
-  ASSIGN_OR_RETURN(const Json* provenance, jsonMember(json, "provenance", where));
-  if (!cameras->is_array()) {
-    return failure(ErrorCode::kCorrupt, "{}: field 'cameras' is not an array", where);
-  }
-  if (!provenance->is_object()) {
-    return failure(ErrorCode::kCorrupt, "{}: field 'provenance' is not an object", where);
-  }
-  manifest.cameras = *cameras;
-  manifest.provenance = *provenance;
-  return manifest;
-}
-
-// --- A line of the journal -----------------------------------------------------------------------
-
-// A line is a JSON object whose last field, "crc", is the checksum of the text before it. It is
-// checked on the bytes, so that a damaged line is found even where it still is JSON.
-constexpr std::string_view kCrcStart = ",\"crc\":\"";
-constexpr std::string_view kCrcEnd = "\"}";
-constexpr std::size_t kCrcDigits = 16;
-
-std::string sealLine(const Json& event) {
-  std::string line = event.dump(-1, ' ', false, Json::error_handler_t::replace);
-  line.pop_back();
-  const std::string crc = checksum(line);
-  return line.append(kCrcStart).append(crc).append(kCrcEnd).append("\n");
-}
-
-bool sealHolds(std::string_view line) {
-  const std::size_t tail = kCrcStart.size() + kCrcDigits + kCrcEnd.size();
-  if (line.size() <= tail) return false;
-  const std::string_view content = line.substr(0, line.size() - tail);
-  return line.substr(content.size(), kCrcStart.size()) == kCrcStart &&
-         line.substr(content.size() + kCrcStart.size(), kCrcDigits) == checksum(content) &&
-         line.ends_with(kCrcEnd);
-}
-
-Json eventOf(const char* kind) { return {{"event", kind}, {"version", kEventVersion}}; }
-
-template <int Size>
-Json matrixToJson(const Eigen::Matrix<double, Size, Size>& symmetric) {
-  return toJson(Eigen::Map<const Eigen::VectorXd>(symmetric.data(), symmetric.size()));
-}
-
-template <int Size>
-Result<Eigen::Matrix<double, Size, Size>> matrixFromJson(const Json& json, std::string_view field,
-                                                         std::string_view where) {
-  ASSIGN_OR_RETURN(const auto values, jsonVector(json, field, Size * Size, where));
-  return Eigen::Matrix<double, Size, Size>(
-      Eigen::Map<const Eigen::Matrix<double, Size, Size>>(values.data()));
-}
-
-Json lightToJson(const LightDirection& light) {
-  Json json = {{"type", light.position ? "point" : "directional"},
-               {"direction", toJson(light.direction)},
-               {"covariance", matrixToJson<3>(light.covariance)}};
-  if (light.position) json["positionMetres"] = toJson(*light.position);
-  if (!light.positionCovariance.isZero(0)) {
-    json["positionCovariance"] = matrixToJson<3>(light.positionCovariance);
-  }
-  return json;
-}
-
-Result<LightDirection> lightFromJson(const Json& event, std::string_view where) {
-  ASSIGN_OR_RETURN(const Json* json, jsonMember(event, "light", where));
-  LightDirection light;
-  ASSIGN_OR_RETURN(const auto type, jsonString(*json, "type", where));
-  if (type != "point" && type != "directional") {
-    return failure(ErrorCode::kUnsupported, "{}: lights of type '{}' are not supported", where,
-                   type);
-  }
-  ASSIGN_OR_RETURN(light.direction, jsonVector(*json, "direction", 3, where));
-  ASSIGN_OR_RETURN(light.covariance, matrixFromJson<3>(*json, "covariance", where));
-  if (type == "point") {
-    ASSIGN_OR_RETURN(light.position, jsonVector(*json, "positionMetres", 3, where));
-  }
-  if (json->contains("positionCovariance")) {
-    ASSIGN_OR_RETURN(light.positionCovariance,
-                     matrixFromJson<3>(*json, "positionCovariance", where));
-  }
-  return light;
-}
-
-// What a caller or a journal may claim about a light.
-Result<void> checkLight(const LightDirection& light, ErrorCode code, std::string_view where) {
-  // Directions are stored with full precision; 1e-6 only catches vectors nobody normalised.
-  if (!(std::abs(light.direction.norm() - 1) < 1e-6)) {
-    return failure(code, "{}: the light direction ({}, {}, {}) is not a unit vector", where,
-                   light.direction.x(), light.direction.y(), light.direction.z());
-  }
-  if (!light.covariance.allFinite() || !light.positionCovariance.allFinite() ||
-      (light.position && !light.position->allFinite())) {
-    return failure(code, "{}: the light's covariance or position is not finite", where);
-  }
-  return {};
-}
-
-Result<void> checkLampScale(const std::array<double, 3>& lampScale, ErrorCode code,
-                            std::string_view where) {
-  for (const double scale : lampScale) {
-    if (!(scale > 0 && std::isfinite(scale))) {
-      return failure(code, "{}: lampScale must be positive", where);
-    }
-  }
-  return {};
-}
-
-Result<void> checkRecord(const FrameRecord& record, ErrorCode code, std::string_view where) {
-  RETURN_IF_ERROR(checkLight(record.light, code, where));
-  RETURN_IF_ERROR(checkLampScale(record.lampScale, code, where));
-  bool finite = true;
-  for (const double value : {record.exposureSeconds, record.gainDb, record.midExposureSeconds,
-                             record.pairingErrorSeconds, record.saturatedFraction}) {
-    finite = finite && std::isfinite(value);
-  }
-  for (const auto& lamp : record.lampPixels) {
-    finite = finite && lamp.pixel.allFinite() && lamp.covariance.allFinite();
-  }
-  if (!finite) return failure(code, "{}: a frame's times and pixels must be finite", where);
-  return {};
-}
-
-Json frameToJson(const FrameRecord& record) {
-  Json json = eventOf("frame");
-  Json lamps = Json::array();
-  for (const auto& lamp : record.lampPixels) {
-    lamps.push_back({{"camera", lamp.camera},
-                     {"pixel", toJson(lamp.pixel)},
-                     {"covariance", matrixToJson<2>(lamp.covariance)}});
-  }
-  json["id"] = record.id;
-  json["file"] = record.file;
-  json["checksum"] = record.checksum;
-  json["origin"] = record.origin;
-  json["light"] = lightToJson(record.light);
-  json["lampPixels"] = std::move(lamps);
-  json["calibrationId"] = record.calibrationId;
-  json["exposureSeconds"] = record.exposureSeconds;
-  json["gainDb"] = record.gainDb;
-  json["lampScale"] = record.lampScale;
-  json["midExposureSeconds"] = record.midExposureSeconds;
-  json["pairingErrorSeconds"] = record.pairingErrorSeconds;
-  json["saturatedFraction"] = record.saturatedFraction;
-  json["gates"] = record.gates;
-  return json;
-}
-
-// A journal must not make us read or write outside the sketch.
-bool isFrameFile(const std::string& file) {
-  const fs::path path(file);
-  return !path.is_absolute() && std::distance(path.begin(), path.end()) == 2 &&
-         *path.begin() == kFramesFolder && path.filename() != ".." && path.filename() != "." &&
-         !path.filename().empty();
-}
-
-Result<FrameRecord> frameFromJson(const Json& json, std::string_view where) {
-  FrameRecord record;
-  ASSIGN_OR_RETURN(const auto id, jsonInteger(json, "id", where, 0, kMaxFrames));
-  record.id = static_cast<int>(id);
-  ASSIGN_OR_RETURN(record.file, jsonString(json, "file", where));
-  if (!isFrameFile(record.file)) {
-    return failure(ErrorCode::kCorrupt, "{}: field 'file' ('{}') does not lie in frames/", where,
-                   record.file);
-  }
-  ASSIGN_OR_RETURN(record.checksum, jsonString(json, "checksum", where));
-  ASSIGN_OR_RETURN(record.origin, jsonString(json, "origin", where));
-  ASSIGN_OR_RETURN(record.light, lightFromJson(json, where));
-  ASSIGN_OR_RETURN(const Json* lamps, jsonMember(json, "lampPixels", where));
-  if (!lamps->is_array()) {
-    return failure(ErrorCode::kCorrupt, "{}: field 'lampPixels' is not an array", where);
-  }
-  for (const Json& element : *lamps) {
-    LampPixel lamp;
-    ASSIGN_OR_RETURN(lamp.camera, jsonString(element, "camera", where));
-    ASSIGN_OR_RETURN(lamp.pixel, jsonVector(element, "pixel", 2, where));
-    ASSIGN_OR_RETURN(lamp.covariance, matrixFromJson<2>(element, "covariance", where));
-    record.lampPixels.push_back(std::move(lamp));
-  }
-  ASSIGN_OR_RETURN(record.calibrationId, jsonString(json, "calibrationId", where));
-  ASSIGN_OR_RETURN(record.exposureSeconds, jsonNumber(json, "exposureSeconds", where));
-  ASSIGN_OR_RETURN(record.gainDb, jsonNumber(json, "gainDb", where));
-  ASSIGN_OR_RETURN(const auto scale, jsonVector(json, "lampScale", 3, where));
-  std::copy(scale.begin(), scale.end(), record.lampScale.begin());
-  ASSIGN_OR_RETURN(record.midExposureSeconds, jsonNumber(json, "midExposureSeconds", where));
-  ASSIGN_OR_RETURN(record.pairingErrorSeconds, jsonNumber(json, "pairingErrorSeconds", where));
-  ASSIGN_OR_RETURN(record.saturatedFraction, jsonNumber(json, "saturatedFraction", where));
-  ASSIGN_OR_RETURN(const Json* gates, jsonMember(json, "gates", where));
-  record.gates = *gates;
-  RETURN_IF_ERROR(checkRecord(record, ErrorCode::kCorrupt, where));
-  return record;
-}
-
-// What the journal adds up to.
-struct Replay {
-  std::vector<FrameRecord> frames;
-  std::set<std::string> ambientChecksums;
-
-  Result<FrameRecord*> frame(const Json& event, std::string_view where) {
-    ASSIGN_OR_RETURN(const auto id, jsonInteger(event, "id", where, 0,
-                                                static_cast<std::int64_t>(frames.size()) - 1));
-    return &frames[static_cast<std::size_t>(id)];
-  }
-
-  Result<void> apply(const Json& event, std::string_view where) {
-    ASSIGN_OR_RETURN(const auto kind, jsonString(event, "event", where));
-    ASSIGN_OR_RETURN(const auto version, jsonInteger(event, "version", where, 1, 1'000'000));
-    const bool known = kind == "frame" || kind == "drop" || kind == "restore" ||
-                       kind == "relight" || kind == "ambient" || kind == "note";
-    if (!known || version > kEventVersion) {
-      return failure(ErrorCode::kUnsupported,
-                     "{}: event '{}' version {} was written by a newer lightsketch; update "
-                     "lightsketch",
-                     where, kind, version);
-    }
-    if (kind == "frame") {
-      ASSIGN_OR_RETURN(auto record, frameFromJson(event, where));
-      if (record.id != static_cast<int>(frames.size())) {
-        return failure(ErrorCode::kCorrupt, "{}: field 'id' is {}, expected {}; a line is missing",
-                       where, record.id, frames.size());
-      }
-      frames.push_back(std::move(record));
-    } else if (kind == "drop") {
-      ASSIGN_OR_RETURN(FrameRecord * record, frame(event, where));
-      ASSIGN_OR_RETURN(record->dropReason, jsonString(event, "reason", where));
-      record->dropped = true;
-    } else if (kind == "restore") {
-      ASSIGN_OR_RETURN(FrameRecord * record, frame(event, where));
-      record->dropped = false;
-      record->dropReason.clear();
-    } else if (kind == "relight") {
-      ASSIGN_OR_RETURN(FrameRecord * record, frame(event, where));
-      ASSIGN_OR_RETURN(const auto light, lightFromJson(event, where));
-      RETURN_IF_ERROR(checkLight(light, ErrorCode::kCorrupt, where));
-      ASSIGN_OR_RETURN(record->calibrationId, jsonString(event, "calibrationId", where));
-      if (event.contains("lampScale")) {
-        ASSIGN_OR_RETURN(const auto values, jsonVector(event, "lampScale", 3, where));
-        const std::array<double, 3> scale{values[0], values[1], values[2]};
-        RETURN_IF_ERROR(checkLampScale(scale, ErrorCode::kCorrupt, where));
-        record->lampScale = scale;
-      }
-      record->light = light;
-    } else if (kind == "ambient") {
-      ASSIGN_OR_RETURN(auto sum, jsonString(event, "checksum", where));
-      ambientChecksums.insert(std::move(sum));
-    }
-    return {};
-  }
-};
-
-// Replays whole lines; returns how many bytes of `text` they take. Only the last line may be torn:
-// it was being written when the program or the machine stopped, so nobody was told it is safe. A
-// kill leaves its beginning, a power cut also zeros in place of some of it. A last line that is
-// whole but wrong is damage like any other: it may have been acknowledged.
-Result<std::size_t> replayJournal(std::string_view text, const fs::path& path, Replay& replay) {
-  std::size_t position = 0;
-  for (std::size_t number = 1; position < text.size(); ++number) {
-    const std::size_t newline = text.find('\n', position);
-    if (newline == text.npos) break;
-    const std::string_view line = text.substr(position, newline - position);
-    const std::string where = fmt::format("{}: line {}", path.string(), number);
-    if (!sealHolds(line)) {
-      if (newline + 1 == text.size() && line.find('\0') != line.npos) break;
-      return failure(ErrorCode::kCorrupt,
-                     "{}: damaged (its checksum does not fit); restore the file from a copy",
-                     where);
-    }
-    ASSIGN_OR_RETURN(const auto event, parseJson(line, where));
-    RETURN_IF_ERROR(replay.apply(event, where));
-    position = newline + 1;
-  }
-  return position;
-}
-
-// Left behind by a writer that was stopped: a temporary file or an image that no line speaks of.
-void removeLeftovers(const fs::path& folder, const std::vector<FrameRecord>& frames) {
-  // By number: a frame's raw counts stand beside it, "000123.raw.png".
-  const auto number = [](const fs::path& file) {
-    const std::string name = file.filename().string();
-    return name.substr(0, name.find('.'));
-  };
-  std::set<std::string> recorded;
-  for (const auto& record : frames) recorded.insert(number(record.file));
-  std::error_code error;
+// Removes what a writer that was stopped has left: temporary files, and the picture of the frame
+// that it was about to acknowledge. Pictures beyond that one were acknowledged: their lines are
+// lost, and they are not ours to remove.
+Result<void> removeLeftovers(const fs::path& folder, const std::vector<FrameRecord>& frames) {
+  const std::string next = frameNumber(frameFile(static_cast<int>(frames.size())));
   std::vector<fs::path> leftovers;
+  ASSIGN_OR_RETURN(const auto unnamed, unnamedPictures(folder, frames));
+  for (const fs::path& path : unnamed) {
+    if (frameNumber(path) != next) {
+      return failure(ErrorCode::kCorrupt,
+                     "{}: no line of {} names it; run: lightsketch check {} --repair",
+                     path.string(), kJournalFile, folder.string());
+    }
+    leftovers.push_back(path);
+  }
+  std::error_code error;
+  leftovers.push_back(folder / kFramesFolder / (next + ".raw.png"));
   for (const auto& directory : {folder, folder / kFramesFolder}) {
     for (fs::directory_iterator entry(directory, error), end; !error && entry != end;
          entry.increment(error)) {
       const std::string name = entry->path().filename().string();
-      const bool partial = name.starts_with(".") && name.find(".partial") != name.npos;
-      const bool ours = name.ends_with(".exr") || name.ends_with(".raw.png");
-      const bool orphan = directory != folder && ours && !recorded.contains(number(name));
-      if (partial || orphan) leftovers.push_back(entry->path());
+      if (name.starts_with(".") && name.find(".partial") != name.npos) {
+        leftovers.push_back(entry->path());
+      }
     }
   }
   for (const auto& path : leftovers) fs::remove(path, error);
+  return {};
 }
 
 }  // namespace
@@ -505,6 +153,7 @@ Result<void> Sketch::State::load() {
     return failure(ErrorCode::kNotFound, "{}: is not a sketch (it has no {})", folder.string(),
                    kManifestFile);
   }
+  RETURN_IF_ERROR(refuseLinks(folder));
   ASSIGN_OR_RETURN(const auto json, readJsonFile(manifestPath));
   ASSIGN_OR_RETURN(manifest, manifestFromJson(json, manifestPath.string()));
   if (fs::exists(folder / kRigFile, error)) {
@@ -519,7 +168,7 @@ Result<void> Sketch::State::load() {
 Result<int> Sketch::State::append(FrameRecord record, const RadianceImage& radiance, bool durable) {
   RETURN_IF_ERROR(checkWritable());
   record.id = static_cast<int>(replay.frames.size());
-  record.file = fmt::format("{}/{:06d}.exr", kFramesFolder, record.id);
+  record.file = frameFile(record.id);
   record.dropped = false;
   record.dropReason.clear();
   const fs::path path = folder / record.file;
@@ -536,7 +185,10 @@ Result<int> Sketch::State::append(FrameRecord record, const RadianceImage& radia
                      {"lightY", record.light.direction.y()},
                      {"lightZ", record.light.direction.z()},
                      {"exposureSeconds", record.exposureSeconds},
-                     {"gainDb", record.gainDb}};
+                     {"gainDb", record.gainDb},
+                     {"midExposureSeconds", record.midExposureSeconds}};
+  const std::array<const char*, 3> names{"lampScaleR", "lampScaleG", "lampScaleB"};
+  for (std::size_t c = 0; c < 3; ++c) options.numbers[names[c]] = record.lampScale[c];
   if (!record.origin.empty()) options.attributes["origin"] = record.origin;
   ASSIGN_OR_RETURN(const auto bytes, encodeExr(radiance, options));
   record.checksum = checksum(bytes);
@@ -545,8 +197,9 @@ Result<int> Sketch::State::append(FrameRecord record, const RadianceImage& radia
   auto written = durable ? writeFileAtomically(path, bytes) : writeUnsynced(path, bytes);
   if (written) written = writeEvent(frameToJson(record), durable);
   if (!written) {
+    // Unless the line could not be taken back: then it must not speak of a picture that is gone.
     std::error_code ignored;
-    fs::remove(path, ignored);
+    if (journal) fs::remove(path, ignored);
     return tl::unexpected(written.error());
   }
   if (!durable) unsynced.push_back(path);
@@ -561,14 +214,15 @@ Sketch::~Sketch() = default;
 
 Result<Sketch> Sketch::create(const fs::path& folder, const SketchManifest& manifest,
                               const std::optional<RigGeometry>& rig) {
-  if (manifest.width < 1 || manifest.height < 1 || manifest.width > kMaxSide ||
-      manifest.height > kMaxSide || std::int64_t{manifest.width} * manifest.height > kMaxPixels) {
+  if (manifest.width < 1 || manifest.height < 1 || manifest.width > kMaxFrameSide ||
+      manifest.height > kMaxFrameSide ||
+      std::int64_t{manifest.width} * manifest.height > kMaxFramePixels) {
     return failure(ErrorCode::kInvalidArgument, "{}: a sketch cannot have frames of {} x {} pixels",
                    folder.string(), manifest.width, manifest.height);
   }
   ASSIGN_OR_RETURN(auto pending, PendingFolder::create(folder));
   std::error_code error;
-  for (const char* name : {kFramesFolder, "calibration"}) {
+  for (const char* name : {kFramesFolder, kCalibrationFolder}) {
     if (fs::create_directory(pending.path() / name, error); error) {
       return systemFailure(error.value(), "create", folder / name);
     }
@@ -595,20 +249,13 @@ Result<Sketch> Sketch::openForAppend(const fs::path& folder) {
     RETURN_IF_ERROR(state->load());  // says what is missing
   }
 
-  // The kernel drops this lock with the process, so a killed writer leaves none behind.
-  const fs::path lockPath = folder / kLockFile;
-  state->lock = Descriptor(::open(lockPath.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0644));
-  if (!state->lock) return systemFailure(errno, "write", lockPath);
-  if (::flock(state->lock.get(), LOCK_EX | LOCK_NB) != 0) {
-    if (errno != EWOULDBLOCK) return systemFailure(errno, "lock", lockPath);
-    return failure(ErrorCode::kIo,
-                   "{}: another program is writing to this sketch; close it or wait for it",
-                   folder.string());
-  }
+  ASSIGN_OR_RETURN(state->lock, lockForWriting(folder));
   RETURN_IF_ERROR(state->load());
+  RETURN_IF_ERROR(removeLeftovers(folder, state->replay.frames));
 
   const fs::path journalPath = state->journalPath();
-  state->journal = Descriptor(::open(journalPath.c_str(), O_WRONLY | O_APPEND | O_CLOEXEC));
+  state->journal =
+      Descriptor(::open(journalPath.c_str(), O_WRONLY | O_APPEND | O_CLOEXEC | O_NOFOLLOW));
   if (!state->journal) return systemFailure(errno, "write", journalPath);
   const off_t size = ::lseek(state->journal.get(), 0, SEEK_END);
   if (size != state->journalLength) {
@@ -620,7 +267,6 @@ Result<Sketch> Sketch::openForAppend(const fs::path& folder) {
         fmt::format("cut off a torn last line of {} bytes", size - state->journalLength);
     RETURN_IF_ERROR(state->writeEvent(event, true));
   }
-  removeLeftovers(folder, state->replay.frames);
   return Sketch(std::move(state));
 }
 
@@ -722,6 +368,7 @@ Result<std::optional<RadianceImage>> Sketch::readAmbient() const {
 Result<RadianceImage> Sketch::readFrame(int id) const {
   ASSIGN_OR_RETURN(const FrameRecord* record, state_->frame(id));
   const fs::path path = folder() / record->file;
+  RETURN_IF_ERROR(refuseLink(path));
   auto bytes = readFile(path);
   if (!bytes) {
     return failure(bytes.error().code, "{}; restore it from a copy or drop frame {}",

@@ -4,6 +4,7 @@
 #include <glog/logging.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <atomic>
 #include <charconv>
 #include <csignal>
@@ -17,6 +18,7 @@
 
 #include "capture/frame/json.h"
 #include "pipeline/job/bench_job.h"
+#include "pipeline/job/check_job.h"
 #include "pipeline/job/jobs.h"
 #include "ui/cli/calibrate_commands.h"
 #include "ui/cli/command.h"
@@ -188,6 +190,7 @@ struct Commands {
     addValidate(app);
     addCull(app);
     addDropAndRestore(app);
+    addCheck(app);
     addInfo(app);
     addDemo(app);
     addBench(app);
@@ -195,6 +198,7 @@ struct Commands {
 
   Common common;
   Action action;
+  std::string complaint;  // of a job that did its work and found something amiss: exit code 1
 
  private:
   CLI::App* add(CLI::App& app, const std::string& name, const std::string& description,
@@ -518,6 +522,27 @@ struct Commands {
     });
   }
 
+  void addCheck(CLI::App& app) {
+    auto* command =
+        add(app, "check", "whether a sketch, model or camera model is whole; exit code 1 if not",
+            "lightsketch check vase\n  lightsketch check vase --repair");
+    command->add_option("file", check_.file, "sketch or file")->required();
+    command->add_flag("--repair", check_.repair,
+                      "make a sketch usable again without losing a whole frame; what is replaced "
+                      "stays beside as NAME.damaged");
+    command->callback([this] {
+      action = [this](ProgressBar& bar, const std::stop_token&) -> Result<JobResult> {
+        ASSIGN_OR_RETURN(auto result, checkJob(check_, bar));
+        if (const auto places = result.figures["damaged"].get<std::size_t>(); places > 0) {
+          complaint = fmt::format(
+              "{}: {} damaged place{}; mend with: lightsketch check {} --repair",
+              check_.file.string(), places, places == 1 ? "" : "s", check_.file.string());
+        }
+        return result;
+      };
+    });
+  }
+
   void addInfo(CLI::App& app) {
     auto* command = add(app, "info", "what a sketch, model, camera model or picture holds",
                         "lightsketch info vase");
@@ -565,13 +590,17 @@ struct Commands {
   ValidateJob validate_;
   CullJob cull_;
   DropJob drop_;
+  CheckJob check_;
   std::filesystem::path info_;
   DemoJob demo_;
   BenchJob bench_;
   std::optional<CalibrateCommands> calibrate_;
 };
 
-int fail(const std::string& message) {
+// One line, whatever a hostile file made the message quote.
+int fail(std::string message) {
+  std::replace_if(
+      message.begin(), message.end(), [](unsigned char c) { return c < ' ' || c == 0x7f; }, '?');
   fmt::print(stderr, "lightsketch: {}\n", message);
   return 1;
 }
@@ -609,7 +638,7 @@ int run(int argc, char** argv) {
     if (!written) return fail(written.error().message);
   }
   fmt::print("{}\n", result->text);
-  return 0;
+  return commands.complaint.empty() ? 0 : fail(commands.complaint);
 }
 
 }  // namespace

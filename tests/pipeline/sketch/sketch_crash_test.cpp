@@ -45,7 +45,7 @@ struct Acknowledgement {
   }
 }
 
-TEST(Kill9, AtTwentyRandomMomentsLosesNoAcknowledgedFrame) {
+TEST(FaultKilled, AtTwentyRandomMomentsLosesNoAcknowledgedFrame) {
   const TemporaryFolder temporary;
   const fs::path folder = temporary / "s";
   ASSERT_TRUE(Sketch::create(folder, sampleManifest(kWidth, kHeight)));
@@ -143,7 +143,7 @@ std::string fillUp(const fs::path& folder, const std::function<void()>& makeRoom
   return check(count + 1);
 }
 
-TEST(DiskFull, AFileSizeLimitInTheMiddleOfAJournalLineIsTakenBack) {
+TEST(FaultDiskFull, AFileSizeLimitInTheMiddleOfAJournalLineIsTakenBack) {
   const TemporaryFolder temporary;
   rlimit before{};
   ::getrlimit(RLIMIT_FSIZE, &before);
@@ -159,7 +159,7 @@ TEST(DiskFull, AFileSizeLimitInTheMiddleOfAJournalLineIsTakenBack) {
 
 void writeText(const char* path, const std::string& text) { std::ofstream(path) << text; }
 
-TEST(DiskFull, AFullFileSystemLosesNothing) {
+TEST(FaultDiskFull, AFullFileSystemLosesNothing) {
   const TemporaryFolder temporary;
   const fs::path mountPoint = temporary / "small";
   fs::create_directory(mountPoint);
@@ -196,7 +196,7 @@ TEST(DiskFull, AFullFileSystemLosesNothing) {
   EXPECT_EQ(problem, "");
 }
 
-TEST(ReadOnly, AFolderWithoutRightsIsRefusedForWritingAndReadable) {
+TEST(FaultReadOnly, AFolderWithoutRightsIsRefusedForWritingAndReadable) {
   if (::geteuid() == 0) GTEST_SKIP() << "root may write everywhere";
   const TemporaryFolder temporary;
   const fs::path folder = temporary / "s";
