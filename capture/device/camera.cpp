@@ -77,4 +77,17 @@ Result<std::unique_ptr<Camera>> openCamera(const std::string& address) {
   return camera;
 }
 
+Result<CameraSettings> configureNearest(Camera& camera, CameraSettings wanted, bool grey) {
+  auto settings = camera.configure(wanted);
+  if (!settings && wanted.format && settings.error().code == ErrorCode::kInvalidArgument) {
+    wanted.format.reset();
+    settings = camera.configure(wanted);
+  }
+  if (!settings || !settings->format || !grey) return settings;
+  const PixelFormatInfo& info = pixelFormatInfo(*settings->format);
+  if (!info.isBayer && info.channels == 1) return settings;
+  wanted.format = PixelFormat::kMono8;
+  return camera.configure(wanted);
+}
+
 }  // namespace lightsketch

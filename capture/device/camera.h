@@ -88,6 +88,9 @@ class Camera {
 Result<std::vector<CameraInfo>> listCameras();
 // Fails with kNotFound and a message that says what was tried and what is connected.
 Result<std::unique_ptr<Camera>> openCamera(const std::string& address);
+// The wanted pixel format is a preference: a camera that does not offer it stays in the one it has,
+// which the answer tells. With `grey`, one that would send colours sends Mono8.
+Result<CameraSettings> configureNearest(Camera& camera, CameraSettings wanted, bool grey = false);
 // How whoever needs a camera gets it by its address: openCamera, or something around it that also
 // looks at the frames.
 using CameraOpener = std::function<Result<std::unique_ptr<Camera>>(const std::string& address)>;

@@ -1241,7 +1241,7 @@ Result<RecorderSummary> record(Camera& sceneCamera, std::span<const SourceCamera
                      "source camera {} has no model; see --camera-model",
                      source.camera.info().address);
     }
-    ASSIGN_OR_RETURN(const CameraSettings settings, source.camera.configure(wanted));
+    ASSIGN_OR_RETURN(const CameraSettings settings, configureNearest(source.camera, wanted, true));
     if (settings.region && (settings.region->width != source.model->width() ||
                             settings.region->height != source.model->height())) {
       return failure(ErrorCode::kInvalidArgument,
@@ -1253,7 +1253,12 @@ Result<RecorderSummary> record(Camera& sceneCamera, std::span<const SourceCamera
   wanted.exposureSeconds = options.sceneExposureSeconds;
   wanted.gainDb = options.sceneGainDb;
   wanted.format = options.sceneFormat;
-  ASSIGN_OR_RETURN(const CameraSettings scene, sceneCamera.configure(wanted));
+  ASSIGN_OR_RETURN(const CameraSettings scene, configureNearest(sceneCamera, wanted));
+  if (sceneCamera.isLive() && scene.format && scene.format != wanted.format) {
+    progress.warn(fmt::format("scene camera {}: {} is not offered, it sends {}",
+                              sceneCamera.info().address, pixelFormatInfo(*wanted.format).name,
+                              pixelFormatInfo(*scene.format).name));
+  }
   if (!scene.region || !scene.exposureSeconds) {
     return failure(ErrorCode::kDevice, "scene camera {} does not tell its region and exposure",
                    sceneCamera.info().address);

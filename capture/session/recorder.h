@@ -79,6 +79,7 @@ struct RecorderOptions {
   std::shared_ptr<const SensorModel> sceneSensor;
   double sourceBlackLevel = 0;
   double framesPerSecond = 12;
+  // If the scene camera offers it; otherwise what it sends, with a warning.
   PixelFormat sceneFormat = PixelFormat::kBayerRG12;
 };
 
