@@ -99,9 +99,9 @@ class RigLink::Worker {
   Result<std::pair<CameraSettings, CameraSettings>> open(const RigSetup& setup) {
     close();
     RETURN_IF_ERROR(ensureRig(setup));
-    auto scene = openOne(link_.sceneAddress(setup), setup.scene, sceneView_, scene_);
+    auto scene = openOne(link_.sceneAddress(setup), setup.scene, false, sceneView_, scene_);
     if (!scene) return tl::unexpected<Error>(scene.error());
-    auto source = openOne(link_.sourceAddress(setup), setup.source, sourceView_, source_);
+    auto source = openOne(link_.sourceAddress(setup), setup.source, true, sourceView_, source_);
     if (!source) {
       close();
       return tl::unexpected<Error>(source.error());
@@ -150,14 +150,14 @@ class RigLink::Worker {
 
  private:
   Result<CameraSettings> openOne(const std::string& address, const CameraSettings& settings,
-                                 const std::shared_ptr<LiveView>& view,
+                                 bool grey, const std::shared_ptr<LiveView>& view,
                                  std::unique_ptr<Camera>& into) {
     if (address.empty()) {
       return failure(ErrorCode::kInvalidArgument,
                      "choose both cameras on the Rig page, or use the simulated rig");
     }
     ASSIGN_OR_RETURN(auto camera, openCamera(address));
-    ASSIGN_OR_RETURN(const CameraSettings now, camera->configure(settings));
+    ASSIGN_OR_RETURN(const CameraSettings now, configureNearest(*camera, settings, grey));
     into = tapped(std::move(camera), view);
     RETURN_IF_ERROR(start(*into));
     return now;
