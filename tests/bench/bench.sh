@@ -24,6 +24,7 @@ usage() {
 ./run bench engine      compressing, drawing, loading against this machine's limits, and growth (lightsketch bench)
 ./run bench compress    the paper's job on a set with shadows and highlights; [quick]
 ./run bench quality     quality per byte: the paper, PCA, PTM, HSH, SH and our own sizes; [--quick] [--plot FILE.svg]
+./run bench quality --model FILE.lsd   a model of 4096 lights at 640 x 480, to be drawn (ui/app/README.md)
 ./run bench faults      the fault matrix: every test of a fault, what was put in, what came of it
 ./run bench soak        the simulated rig with a fault every few seconds; [--minutes M] [--seed S]
 ./run bench light       light that changes every frame: a turned environment, a room camera, sized lamps

@@ -10,6 +10,7 @@
 #include <QSpinBox>
 
 #include "pipeline/job/calibrate_jobs.h"
+#include "ui/app/controls.h"
 #include "ui/app/workspace.h"
 
 namespace lightsketch {
@@ -25,11 +26,9 @@ BoardBox::BoardBox(Workspace& workspace, QWidget* parent) : QWidget(parent), wor
   row->setSpacing(6);
   const auto add = [&](const QString& text, QWidget* widget, const QString& name,
                        const QString& tip) {
-    auto* label = new QLabel(text);
-    label->setBuddy(widget);
     widget->setObjectName(name);
     widget->setToolTip(tip);
-    row->addWidget(label);
+    row->addWidget(labelFor(widget, text));
     row->addWidget(widget);
   };
   kind_ = new QComboBox;

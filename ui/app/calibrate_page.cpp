@@ -19,6 +19,7 @@ CalibratePage::CalibratePage(Workspace& workspace, QWidget* parent) : Page(works
   column->addWidget(board);
   steps_ = new QTabWidget;
   steps_->setObjectName("steps");
+  steps_->setDocumentMode(true);
   steps_->setAccessibleName(tr("Steps of the calibration"));
   column->addWidget(steps_, 1);
   auto* lens = new LensStep(workspace, *board);

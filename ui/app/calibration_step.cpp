@@ -10,6 +10,7 @@
 #include <QVBoxLayout>
 #include <atomic>
 
+#include "ui/app/controls.h"
 #include "ui/app/use_calibration.h"
 
 namespace lightsketch {
@@ -47,16 +48,11 @@ CalibrationStep::CalibrationStep(Workspace& workspace, const QString& name, cons
   words_ = new QLabel;
   words_->setObjectName("words");
   words_->setWordWrap(true);
-  QFont large = words_->font();
-  large.setPointSizeF(large.pointSizeF() * 2.2);
-  large.setBold(true);
-  words_->setFont(large);
+  enlarge(words_, 2.2, true);
   detail_ = new QLabel;
   detail_->setObjectName("detail");
   detail_->setWordWrap(true);
-  QFont larger = detail_->font();
-  larger.setPointSizeF(larger.pointSizeF() * 1.3);
-  detail_->setFont(larger);
+  enlarge(detail_, 1.3);
   progress_ = new QProgressBar;
   progress_->setObjectName("progress");
   progress_->setAccessibleName(tr("Progress of the calibration"));
@@ -69,7 +65,7 @@ CalibrationStep::CalibrationStep(Workspace& workspace, const QString& name, cons
   panel_->setAutoFillBackground(true);
   question_ = new QLabel;
   question_->setWordWrap(true);
-  question_->setFont(larger);
+  enlarge(question_, 1.3);
   auto* go = new QPushButton(tr("&Continue"));
   go->setObjectName("continue");
   go->setToolTip(tr("Done: go on"));
@@ -138,17 +134,12 @@ bool CalibrationStep::run(const QString& title, std::optional<RigProgram> progra
         }
         return result;
       });
-  connect(task_, &Task::progressed, this, [this](const QString& stage, double fraction, double) {
-    progress_->setRange(0, fraction < 0 ? 0 : 1000);
-    if (fraction >= 0) progress_->setValue(static_cast<int>(1000 * fraction));
-    progress_->setFormat(stage);
-  });
+  follow(task_, progress_);
   connect(task_, &Task::finished, this, [this, task = task_] {
     task_ = nullptr;
     timer_.stop();
     look();
     panel_->hide();
-    progress_->hide();
     button_->setText(start_);
     workspace_.rig().giveBack();
     say({});
@@ -159,8 +150,6 @@ bool CalibrationStep::run(const QString& title, std::optional<RigProgram> progra
     finished(task->result());
     Q_EMIT runningChanged(false);
   });
-  progress_->setRange(0, 0);
-  progress_->show();
   button_->setText(tr("Cancel"));
   say(tr("Preparing ..."));
   timer_.start();

@@ -18,6 +18,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "ui/app/controls.h"
 #include "ui/app/histogram_view.h"
 
 namespace lightsketch {
@@ -203,9 +204,7 @@ QLayout* CameraPanel::buildSettings() {
   grid->setHorizontalSpacing(6);
   grid->setVerticalSpacing(3);
   const auto row = [&](int at, const QString& text, QWidget* buddy) {
-    auto* label = new QLabel(text);
-    label->setBuddy(buddy);
-    grid->addWidget(label, at, 0);
+    grid->addWidget(labelFor(buddy, text), at, 0);
   };
 
   exposure_ = number("exposure", tr("Exposure"), tr(" ms"), 0.001, 100'000, 3);
@@ -243,8 +242,7 @@ QLayout* CameraPanel::buildSettings() {
   rate_->setToolTip(tr("Frames a second. The camera pauses for a moment when it changes."));
   row(1, tr("&Gain"), gain_);
   grid->addWidget(gain_, 1, 1);
-  auto* rateLabel = new QLabel(tr("Fr&ames"));
-  rateLabel->setBuddy(rate_);
+  auto* rateLabel = labelFor(rate_, tr("Fr&ames"));
   rateLabel->setAlignment(Qt::AlignRight | Qt::AlignVCenter);
   grid->addWidget(rateLabel, 1, 2, 1, 2);
   grid->addWidget(rate_, 1, 4);

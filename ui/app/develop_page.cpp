@@ -1,33 +1,24 @@
 #include "ui/app/develop_page.h"
 
 #include <QButtonGroup>
-#include <QCheckBox>
-#include <QComboBox>
-#include <QDoubleSpinBox>
-#include <QFileDialog>
-#include <QFormLayout>
-#include <QGroupBox>
 #include <QHBoxLayout>
 #include <QLabel>
-#include <QLineEdit>
 #include <QListWidget>
-#include <QPainter>
 #include <QProgressBar>
 #include <QPushButton>
-#include <QRadioButton>
 #include <QScrollArea>
 #include <QShortcut>
-#include <QSpinBox>
 #include <QTabWidget>
-#include <QToolButton>
 #include <QVBoxLayout>
 #include <cmath>
-#include <mutex>
 
 #include "pipeline/sketch/image_file.h"
 #include "pipeline/sketch/sketch.h"
 #include "pipeline/validate/validate.h"
+#include "ui/app/controls.h"
+#include "ui/app/develop_choices.h"
 #include "ui/app/frames_panel.h"
+#include "ui/app/growing_picture.h"
 #include "ui/app/hemisphere_view.h"
 #include "ui/app/picture_view.h"
 #include "ui/app/worker.h"
@@ -39,14 +30,6 @@ namespace {
 constexpr int kThumbnails = 24;
 constexpr QSize kThumbnailSize{72, 54};
 constexpr int kGrowMilliseconds = 80;
-
-// The chosen one of the large buttons is plain from two metres.
-constexpr auto kLargeChoice =
-    "QPushButton { text-align: left; padding: 6px 10px; border: 2px solid palette(mid);"
-    " border-radius: 6px; background: palette(button); }"
-    "QPushButton:hover { background: palette(midlight); }"
-    "QPushButton:focus { border-style: dashed; }"
-    "QPushButton:checked { border-color: palette(highlight); background: palette(base); }";
 
 const QColor kUsed("#58a6d8");
 const QColor kHeld("#f0a030");
@@ -90,52 +73,6 @@ QString describe(const Json& figures) {
 
 }  // namespace
 
-// Starts as the means of a captured frame's blocks, which is all that is known of them; each block
-// becomes sharp when the first stage has found its basis. Written by any thread.
-class DevelopPage::Growing {
- public:
-  Growing(const QImage& captured, const SketchSummary& summary, int blockSize, float exposure)
-      : exposure_(exposure),
-        blocks_((summary.width + blockSize - 1) / blockSize *
-                ((summary.height + blockSize - 1) / blockSize)) {
-    const QSize size(summary.width, summary.height);
-    picture_ = QImage(size, QImage::Format_RGB32);
-    picture_.fill(Qt::black);
-    if (captured.isNull()) return;
-    const QSize means((summary.width + blockSize - 1) / blockSize,
-                      (summary.height + blockSize - 1) / blockSize);
-    QPainter(&picture_).drawImage(
-        QRect(QPoint(), means * blockSize),
-        captured.scaled(means, Qt::IgnoreAspectRatio, Qt::SmoothTransformation));
-  }
-
-  void put(int left, int top, const RadianceImage& block) {
-    const Image<std::uint8_t> codes = toSrgb8(block, exposure_);
-    const std::lock_guard lock(mutex_);
-    for (int y = 0; y < codes.height(); ++y) {
-      auto* line = reinterpret_cast<QRgb*>(picture_.scanLine(top + y)) + left;
-      for (int x = 0; x < codes.width(); ++x)
-        line[x] = qRgb(codes(x, y, 0), codes(x, y, 1), codes(x, y, 2));
-    }
-    ++done_;
-  }
-  // Null: nothing came since the last call.
-  QImage take() {
-    const std::lock_guard lock(mutex_);
-    if (std::exchange(shown_, done_) == done_) return {};
-    return picture_.copy();
-  }
-  double part() const { return std::min(1.0, static_cast<double>(shown_) / blocks_); }
-
- private:
-  const float exposure_;
-  const int blocks_;
-  std::mutex mutex_;  // guards all below
-  QImage picture_;
-  int done_ = 0;
-  int shown_ = -1;
-};
-
 DevelopPage::DevelopPage(Workspace& workspace, QWidget* parent) : Page(workspace, parent) {
   worker_ = new Worker(this);
   auto* across = new QHBoxLayout(this);
@@ -148,7 +85,7 @@ DevelopPage::DevelopPage(Workspace& workspace, QWidget* parent) : Page(workspace
   tabs_->setDocumentMode(true);
   auto* make = new QWidget;
   auto* row = new QHBoxLayout(make);
-  row->addWidget(buildChoices());
+  row->addLayout(buildChoices());
   row->addWidget(buildResult(), 1);
   frames_ = new FramesPanel(workspace, *worker_);
   tabs_->addTab(make, tr("&Develop"));
@@ -172,7 +109,6 @@ DevelopPage::DevelopPage(Workspace& workspace, QWidget* parent) : Page(workspace
   connect(&workspace, &Workspace::sketchChanged, this, [reload] { reload(true); });
   connect(&workspace, &Workspace::sketchEdited, this, [reload] { reload(false); });
   showSummary({}, true);
-  chosen();
 }
 
 DevelopPage::~DevelopPage() {
@@ -190,10 +126,7 @@ QWidget* DevelopPage::buildSketch() {
   column->setContentsMargins(0, 0, 0, 0);
   name_ = new QLabel;
   name_->setObjectName("sketchName");
-  QFont large = name_->font();
-  large.setPointSizeF(large.pointSizeF() * 1.5);
-  large.setBold(true);
-  name_->setFont(large);
+  enlarge(name_, 1.5, true);
   counts_ = new QLabel;
   counts_->setObjectName("sketchCounts");
   counts_->setWordWrap(true);
@@ -244,175 +177,23 @@ QWidget* DevelopPage::buildSketch() {
   return box;
 }
 
-QWidget* DevelopPage::buildChoices() {
-  auto* box = new QWidget;
-  auto* column = new QVBoxLayout(box);
-  column->setContentsMargins(0, 0, 6, 0);
-  column->setSpacing(6);
-  choices_ = new QButtonGroup(this);
-  const auto large = [&](Choice choice, const char* name, const QString& title,
-                         const QString& words, const QString& tip) {
-    auto* button = new QPushButton(title + "\n" + words);
-    button->setObjectName(name);
-    button->setCheckable(true);
-    button->setMinimumHeight(52);
-    button->setStyleSheet(kLargeChoice);
-    button->setToolTip(tip);
-    choices_->addButton(button, choice);
-    column->addWidget(button);
-  };
-  const QString how =
-      tr("Errors as parts of the picture's brightness. Ranks and roundings are chosen so that no "
-         "bit is spent on less (lightsketch compress --quality %1)");
-  large(kSmall, "qualitySmall", tr("&Small"), tr("to show and to send; errors near 3 %"),
-        how.arg("small"));
-  large(kStandard, "qualityStandard", tr("S&tandard"), tr("for most work; errors near 1.5 %"),
-        how.arg("standard"));
-  large(kArchive, "qualityArchive", tr("&Archive"),
-        tr("to keep and to measure from; errors near 1 %"), how.arg("archive"));
-
-  auto* targets = new QGridLayout;
-  targets->setColumnStretch(1, 1);
-  const auto target = [&](Choice choice, const char* name, const QString& text,
-                          QDoubleSpinBox*& spin, const QString& unit, double low, double high,
-                          double value, const QString& tip) {
-    auto* radio = new QRadioButton(text);
-    radio->setObjectName(name);
-    radio->setToolTip(tip);
-    spin = new QDoubleSpinBox;
-    spin->setObjectName(QString(name) + "Value");
-    spin->setAccessibleName(text);
-    spin->setToolTip(tip);
-    spin->setDecimals(1);
-    spin->setRange(low, high);
-    spin->setValue(value);
-    spin->setSuffix(unit);
-    choices_->addButton(radio, choice);
-    connect(spin, &QDoubleSpinBox::valueChanged, this, [radio, this] {
-      radio->setChecked(true);
-      chosen();
-    });
-    const int row = targets->rowCount();
-    targets->addWidget(radio, row, 0);
-    targets->addWidget(spin, row, 1);
-  };
-  target(kSize, "bySize", tr("Largest si&ze"), megabytes_, tr(" MB"), 0.1, 100000, 10,
-         tr("As good as can be in a file no larger than this"));
-  target(kPsnr, "byPsnr", tr("Smallest PSN&R"), decibels_, tr(" dB"), 10, 90, 40,
-         tr("As small as can be with at least this PSNR; 40 dB is off by 2.6 of 255 grey levels"));
-  column->addLayout(targets);
-
-  holdOut_ = new QCheckBox(tr("Keep some frames bac&k to measure with"));
-  holdOut_->setObjectName("holdOut");
-  holdOut_->setChecked(true);
-  holdOut_->setToolTip(
-      tr("Frames that the model does not see; Validate compares it with them. Without, it gets all "
-         "frames, and nobody can say how good it is between them."));
-  column->addWidget(holdOut_);
-
-  auto* more = new QToolButton;
-  more->setObjectName("advanced");
-  more->setText(tr("Advanced"));
-  more->setToolTip(tr("Block size, single lamp, near lamps, the paper's setting"));
-  more->setCheckable(true);
-  more->setAutoRaise(true);
-  more->setArrowType(Qt::RightArrow);
-  more->setToolButtonStyle(Qt::ToolButtonTextBesideIcon);
-  column->addWidget(more);
-  auto* advanced = new QWidget;
-  auto* form = new QFormLayout(advanced);
-  form->setContentsMargins(4, 0, 0, 0);
-  form->setVerticalSpacing(4);
-  blockSize_ = new QComboBox;
-  for (const int size : {8, 16, 32, 64}) blockSize_->addItem(tr("%1 pixels").arg(size), size);
-  blockSize_->setCurrentIndex(1);
-  blockSize_->setObjectName("blockSize");
-  blockSize_->setToolTip(
-      tr("Side of the blocks that the picture is cut into; 16 is best for most"));
-  form->addRow(tr("Block s&ize"), blockSize_);
-  singleLamp_ = new QCheckBox(tr("For one &lamp at a time"));
-  singleLamp_->setObjectName("singleLamp");
-  singleLamp_->setToolTip(
-      tr("Better pictures of one lamp in as many bytes; several lamps or an environment do not add "
-         "up"));
-  form->addRow(singleLamp_);
-  near_ = new QCheckBox(tr("The lamp was near, the subject is flat"));
-  near_->setObjectName("nearLight");
-  near_->setToolTip(
-      tr("Takes the fall-off of a near lamp out. Needs lamp positions in the sketch and the scene "
-         "camera's calibration. Off: the lamp counts as far away"));
-  form->addRow(near_);
-  sceneModel_ = new QLineEdit;
-  sceneModel_->setObjectName("sceneModel");
-  sceneModel_->setPlaceholderText(tr("scene camera's calibration (.json)"));
-  sceneModel_->setToolTip(tr("What the Calibrate page saved for the scene camera"));
-  sceneModel_->setEnabled(false);
-  auto* browse = sceneModel_->addAction(style()->standardIcon(QStyle::SP_DirOpenIcon),
-                                        QLineEdit::TrailingPosition);
-  connect(browse, &QAction::triggered, this, [this] {
-    const QString file = QFileDialog::getOpenFileName(this, tr("Scene camera's calibration"), {},
-                                                      tr("Camera models (*.json *.yml *.xml)"));
-    if (!file.isEmpty()) sceneModel_->setText(file);
-  });
-  connect(near_, &QCheckBox::toggled, sceneModel_, &QWidget::setEnabled);
-  form->addRow(sceneModel_);
-  auto* paper = new QRadioButton(tr("The paper's setting:"));
-  paper->setObjectName("paper");
-  paper->setToolTip(tr("Ranks as in Nayar, Belhumeur, Boult 2004; 0 keeps all"));
-  choices_->addButton(paper, kPaper);
-  form->addRow(paper);
-  auto* ranks = new QHBoxLayout;
-  const auto rank = [&](const char* name, const QString& prefix, int value, const QString& tip) {
-    auto* spin = new QSpinBox;
-    spin->setObjectName(name);
-    spin->setAccessibleName(tip);
-    spin->setToolTip(tip);
-    spin->setPrefix(prefix);
-    spin->setRange(0, 4096);
-    spin->setValue(value);
-    ranks->addWidget(spin);
-    connect(spin, &QSpinBox::valueChanged, paper, [paper, this] {
-      paper->setChecked(true);
-      chosen();
-    });
-    return spin;
-  };
-  blockRank_ = rank("blockRank", "b = ", 10, tr("Basis pictures per block"));
-  rank_ = rank("rank", "q = ", 200, tr("Rank of the whole"));
-  storage_ = new QComboBox;
-  storage_->setObjectName("storage");
-  storage_->setToolTip(tr("How numbers are kept: float, half float, 8 bits"));
-  storage_->addItem("f16", static_cast<int>(Storage::kFloat16));
-  storage_->addItem("f32", static_cast<int>(Storage::kFloat32));
-  storage_->addItem("q8", static_cast<int>(Storage::kQ8));
-  ranks->addWidget(storage_);
-  form->addRow(ranks);
-  advanced->hide();
-  column->addWidget(advanced);
-  connect(more, &QToolButton::toggled, this, [more, advanced](bool on) {
-    advanced->setVisible(on);
-    more->setArrowType(on ? Qt::DownArrow : Qt::RightArrow);
-  });
-  column->addStretch(1);
-
-  auto* fileRow = new QHBoxLayout;
-  auto* fileLabel = new QLabel(tr("File &name"));
-  file_ = new QLineEdit;
-  file_->setObjectName("modelFile");
-  file_->setToolTip(tr("The model's file; made whole or not at all"));
-  fileLabel->setBuddy(file_);
-  fileRow->addWidget(fileLabel);
-  fileRow->addWidget(file_, 1);
-  column->addLayout(fileRow);
-  connect(file_, &QLineEdit::textEdited, this, [this](const QString& text) { fileByHand_ = text; });
+QLayout* DevelopPage::buildChoices() {
+  auto* column = new QVBoxLayout;
+  choices_ = new DevelopChoices(workspace());
+  // Small windows scroll the choices, never the rest.
+  auto* scroll = new QScrollArea;
+  scroll->setWidget(choices_);
+  scroll->setWidgetResizable(true);
+  scroll->setFrameShape(QFrame::NoFrame);
+  scroll->setHorizontalScrollBarPolicy(Qt::ScrollBarAlwaysOff);
+  scroll->setFixedWidth(340);
+  column->addWidget(scroll, 1);
+  connect(choices_, &DevelopChoices::holdOutChanged, this, &DevelopPage::showDots);
 
   develop_ = new QPushButton(tr("Develop"));
   develop_->setObjectName("develop");
   develop_->setMinimumHeight(44);
-  QFont bold = develop_->font();
-  bold.setPointSizeF(bold.pointSizeF() * 1.25);
-  bold.setBold(true);
-  develop_->setFont(bold);
+  enlarge(develop_, 1.25, true);
   develop_->setToolTip(tr("Makes the model (Ctrl+Return)"));
   connect(new QShortcut(QKeySequence("Ctrl+Return"), this), &QShortcut::activated, this,
           [this] { begin(); });
@@ -424,18 +205,7 @@ QWidget* DevelopPage::buildChoices() {
     }
   });
   column->addWidget(develop_);
-
-  choices_->button(kStandard)->setChecked(true);
-  connect(choices_, &QButtonGroup::idClicked, this, [this] { chosen(); });
-
-  // Small windows scroll the choices, never the rest.
-  auto* scroll = new QScrollArea;
-  scroll->setWidget(box);
-  scroll->setWidgetResizable(true);
-  scroll->setFrameShape(QFrame::NoFrame);
-  scroll->setHorizontalScrollBarPolicy(Qt::ScrollBarAlwaysOff);
-  scroll->setFixedWidth(340);
-  return scroll;
+  return column;
 }
 
 QWidget* DevelopPage::buildResult() {
@@ -456,7 +226,7 @@ QWidget* DevelopPage::buildResult() {
   for (int i = 0; i < 3; ++i) {
     auto* button = new QPushButton(names[i]);
     button->setObjectName(objects[i]);
-    button->setCheckable(true);
+    makeChoice(button);
     button->setToolTip(tr("Flip between the frame as captured and as the model draws it"));
     shown_->addButton(button, i);
     row->addWidget(button);
@@ -533,28 +303,11 @@ void DevelopPage::showSummary(const SketchSummary& summary, bool another) {
                  .arg(summary.width)
                  .arg(summary.height)
                  .arg(dropped > 0 ? tr(", %1 dropped").arg(dropped) : QString()));
-  std::vector<HemisphereView::Dot> dots;
-  for (const SketchSummary::Frame& frame : summary.frames) {
-    const bool held = holdOut_->isChecked() && summary.heldOut.contains(frame.id);
-    dots.push_back({frame.direction,
-                    frame.dropped ? kDropped
-                    : held        ? kHeld
-                                  : kUsed,
-                    summary.frames.size() > 600 ? 2.0 : 3.5, frame.dropped,
-                    frame.dropped ? tr("Frame %1, dropped: %2").arg(frame.id).arg(frame.dropReason)
-                                  : tr("Frame %1").arg(frame.id)});
-  }
-  hemisphere_->setWholeSphere(summary.wholeSphere);
-  hemisphere_->setDots(std::move(dots));
-  holdOut_->setEnabled(!summary.holdOut.empty());
-  holdOut_->setText(summary.heldOut.empty() ? tr("Keep some frames bac&k to measure with")
-                                            : tr("Keep %1 of %2 frames bac&k to measure with")
-                                                  .arg(summary.heldOut.size())
-                                                  .arg(summary.active));
+  choices_->setSummary(summary, another);
+  showDots();
   frames_->setSummary(summary, another);
   develop_->setEnabled(task_ || summary.active > 0);
   if (another) {
-    fileByHand_.clear();
     thumbnails_->clear();
     result_->clear();
     shownRow_->hide();
@@ -566,7 +319,21 @@ void DevelopPage::showSummary(const SketchSummary& summary, bool another) {
         any ? QString() : tr("No sketch yet. Record one on the Sketch page, or open one."));
     if (any) loadThumbnails();
   }
-  chosen();
+}
+
+void DevelopPage::showDots() {
+  std::vector<HemisphereView::Dot> dots;
+  for (const SketchSummary::Frame& frame : summary_.frames) {
+    dots.push_back({frame.direction,
+                    frame.dropped                   ? kDropped
+                    : choices_->keepsBack(frame.id) ? kHeld
+                                                    : kUsed,
+                    summary_.frames.size() > 600 ? 2.0 : 3.5, frame.dropped,
+                    frame.dropped ? tr("Frame %1, dropped: %2").arg(frame.id).arg(frame.dropReason)
+                                  : tr("Frame %1").arg(frame.id)});
+  }
+  hemisphere_->setWholeSphere(summary_.wholeSphere);
+  hemisphere_->setDots(std::move(dots));
 }
 
 void DevelopPage::loadThumbnails() {
@@ -601,65 +368,10 @@ void DevelopPage::loadThumbnails() {
       });
 }
 
-QString DevelopPage::suggestedFile() const {
-  if (workspace().sketch().empty()) return {};
-  QString name;
-  switch (choices_->checkedId()) {
-    case kSmall:
-    case kStandard:
-    case kArchive:
-      name = nameOf(static_cast<Quality>(choices_->checkedId()));
-      break;
-    case kSize:
-      name = QString("%1MB").arg(megabytes_->value());
-      break;
-    case kPsnr:
-      name = QString("%1dB").arg(decibels_->value());
-      break;
-    default:
-      name = QString("b%1q%2").arg(blockRank_->value()).arg(rank_->value());
-  }
-  return toQString(workspace().sketch()) + "-" + name + ".lsd";
-}
-
-// Something about what is to be made was chosen.
-void DevelopPage::chosen() {
-  if (fileByHand_.isEmpty()) file_->setText(suggestedFile());
-}
-
-CompressJob DevelopPage::job() const {
-  CompressJob job;
-  job.sketch = workspace().sketch();
-  job.out = toPath(file_->text());
-  CompressOptions& options = job.options;
-  options.blockSize = blockSize_->currentData().toInt();
-  options.singleLamp = singleLamp_->isChecked();
-  if (holdOut_->isChecked()) options.holdOutRule = summary_.holdOut;
-  switch (choices_->checkedId()) {
-    case kSize:
-      options.budgetBytes = static_cast<std::uint64_t>(std::llround(megabytes_->value() * 1e6));
-      break;
-    case kPsnr:
-      options.psnr = decibels_->value();
-      break;
-    case kPaper:
-      options.blockRank = blockRank_->value();
-      options.rank = rank_->value();
-      options.storage = static_cast<Storage>(storage_->currentData().toInt());
-      break;
-    default:
-      options.quality = static_cast<Quality>(choices_->checkedId());
-  }
-  if (near_->isChecked()) {
-    job.nearLight = "flat";
-    job.sceneModel = toPath(sceneModel_->text());
-  }
-  return job;
-}
-
 void DevelopPage::develop() {
-  CompressJob job = this->job();
-  growing_ = std::make_shared<Growing>(pictures_[0], summary_, job.options.blockSize, exposure_);
+  CompressJob job = choices_->job();
+  growing_ =
+      std::make_shared<GrowingPicture>(pictures_[0], summary_, job.options.blockSize, exposure_);
   if (summary_.example >= 0) {
     job.options.watch.light = summary_.frames[static_cast<std::size_t>(summary_.example)].direction;
   }
@@ -673,20 +385,12 @@ void DevelopPage::develop() {
   result_->clear();
   relight_->hide();
   validate_->hide();
-  progress_->setRange(0, 0);
-  progress_->setFormat({});
-  progress_->show();
   develop_->setText(tr("Cancel"));
   tabs_->setCurrentIndex(0);
   task_ = workspace().run(
       tr("Develop %1").arg(toQString(job.sketch.filename())),
       [job](Progress& progress, std::stop_token) { return compressJob(job, progress); });
-  connect(task_, &Task::progressed, progress_,
-          [this](const QString& stage, double fraction, double) {
-            progress_->setRange(0, fraction < 0 ? 0 : 1000);
-            if (fraction >= 0) progress_->setValue(qRound(1000 * fraction));
-            progress_->setFormat(stage);
-          });
+  follow(task_, progress_);
   connect(task_, &Task::finished, this, [this, task = task_, job] { finish(*task, job); });
   growTimer_.start();
   grow();
@@ -706,7 +410,6 @@ void DevelopPage::grow() {
 void DevelopPage::finish(const Task& task, const CompressJob& job) {
   task_ = nullptr;
   growTimer_.stop();
-  progress_->hide();
   develop_->setText(tr("Develop"));
   develop_->setEnabled(summary_.active > 0);
   if (!task.result()) {
@@ -751,7 +454,7 @@ void DevelopPage::compareWithCapture(const std::filesystem::path& file) {
 
 void DevelopPage::showPicture() {
   const int which = shown_->checkedId();
-  const bool kept = holdOut_->isChecked() && summary_.heldOut.contains(summary_.example);
+  const bool kept = choices_->keepsBack(summary_.example);
   picture_->setPicture(pictures_[which]);
   picture_->setCaption(which == 0   ? tr("frame %1 as captured").arg(summary_.example)
                        : which == 1 ? (kept ? tr("frame %1, which the model has not seen, as it "

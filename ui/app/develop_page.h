@@ -11,20 +11,18 @@
 #include "ui/app/task.h"
 
 class QButtonGroup;
-class QCheckBox;
-class QComboBox;
-class QDoubleSpinBox;
 class QLabel;
-class QLineEdit;
+class QLayout;
 class QListWidget;
 class QProgressBar;
 class QPushButton;
-class QSpinBox;
 class QTabWidget;
 
 namespace lightsketch {
 
+class DevelopChoices;
 class FramesPanel;
+class GrowingPicture;
 class HemisphereView;
 class PictureView;
 class Worker;
@@ -40,23 +38,18 @@ class DevelopPage final : public Page {
   void begin() override;
 
  private:
-  enum Choice { kSmall, kStandard, kArchive, kSize, kPsnr, kPaper };
-  class Growing;  // the picture as it is made
-
   QWidget* buildSketch();
-  QWidget* buildChoices();
+  QLayout* buildChoices();
   QWidget* buildResult();
   void load(bool another);
   void showSummary(const SketchSummary& summary, bool another);
+  void showDots();
   void loadThumbnails();
-  void chosen();
-  CompressJob job() const;
   void develop();
   void grow();
   void finish(const Task& task, const CompressJob& job);
   void compareWithCapture(const std::filesystem::path& model);
   void showPicture();
-  QString suggestedFile() const;
 
   SketchSummary summary_;
   bool stale_ = true;  // the summary is not of what is on disk
@@ -64,9 +57,8 @@ class DevelopPage final : public Page {
   float exposure_ = 1;
   QImage pictures_[3];  // of the example: captured, by the model, their difference
   Task* task_ = nullptr;
-  std::shared_ptr<Growing> growing_;
+  std::shared_ptr<GrowingPicture> growing_;
   QTimer growTimer_;
-  QString fileByHand_;
 
   QLabel* name_;
   QLabel* counts_;
@@ -74,18 +66,7 @@ class DevelopPage final : public Page {
   QListWidget* thumbnails_;
   QTabWidget* tabs_;
   FramesPanel* frames_;
-  QButtonGroup* choices_;
-  QDoubleSpinBox* megabytes_;
-  QDoubleSpinBox* decibels_;
-  QSpinBox* blockRank_;
-  QSpinBox* rank_;
-  QComboBox* storage_;
-  QComboBox* blockSize_;
-  QCheckBox* singleLamp_;
-  QCheckBox* near_;
-  QLineEdit* sceneModel_;
-  QCheckBox* holdOut_;
-  QLineEdit* file_;
+  DevelopChoices* choices_;
   QPushButton* develop_;
   QProgressBar* progress_;
   PictureView* picture_;

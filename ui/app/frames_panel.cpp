@@ -14,6 +14,7 @@
 #include "pipeline/sketch/light_stack.h"
 #include "pipeline/sketch/sketch.h"
 #include "pipeline/validate/frame_check_report.h"
+#include "ui/app/controls.h"
 #include "ui/app/picture_view.h"
 #include "ui/app/sketch_edits.h"
 #include "ui/app/worker.h"
@@ -127,9 +128,7 @@ FramesPanel::FramesPanel(Workspace& workspace, Worker& worker, QWidget* parent)
   reason_ = new QLabel;
   reason_->setObjectName("suspectReason");
   reason_->setWordWrap(true);
-  QFont large = reason_->font();
-  large.setPointSizeF(large.pointSizeF() * 1.2);
-  reason_->setFont(large);
+  enlarge(reason_, 1.2);
   detailColumn->addWidget(reason_);
   pictures_ = new TripleView;
   pictures_->setObjectName("suspectPictures");

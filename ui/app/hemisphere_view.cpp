@@ -5,10 +5,10 @@
 #include <QKeyEvent>
 #include <QMouseEvent>
 #include <QPainter>
-#include <QPainterPath>
 #include <QToolTip>
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numbers>
 
 #include "capture/frame/direction.h"
@@ -171,6 +171,18 @@ void HemisphereView::paintGround() {
   for (const Dot& dot : dots_) paintDot(painter, dot);
 }
 
+void HemisphereView::paintRegion(QPainter& painter, const Vector3d& middle, double radius) const {
+  QPolygonF outline;
+  const Vector3d side = middle.unitOrthogonal();
+  for (int i = 0; i < 64; ++i) {
+    const Eigen::AngleAxisd around(2 * std::numbers::pi * i / 64, middle);
+    outline << project(around * (Eigen::AngleAxisd(radius, middle.cross(side)) * middle));
+  }
+  painter.setPen(QPen(palette().color(QPalette::Highlight), 2, Qt::DashLine));
+  painter.setBrush(Qt::NoBrush);
+  painter.drawPolygon(outline);
+}
+
 void HemisphereView::paintEvent(QPaintEvent*) {
   if (ground_.isNull()) paintGround();
   QPainter painter(this);
@@ -233,22 +245,9 @@ void HemisphereView::paintEvent(QPaintEvent*) {
 
   // The region being selected.
   if (regionFrom_ && regionTo_) {
-    const double radius = angleBetween(*regionFrom_, *regionTo_).radians();
-    QPainterPath outline;
-    const Vector3d side = regionFrom_->unitOrthogonal();
-    for (int i = 0; i <= 64; ++i) {
-      const Eigen::AngleAxisd around(2 * std::numbers::pi * i / 64, *regionFrom_);
-      const Vector3d at =
-          around * (Eigen::AngleAxisd(radius, regionFrom_->cross(side)) * *regionFrom_);
-      if (i == 0) {
-        outline.moveTo(project(at));
-      } else {
-        outline.lineTo(project(at));
-      }
-    }
-    painter.setPen(QPen(accent, 2, Qt::DashLine));
-    painter.setBrush(Qt::NoBrush);
-    painter.drawPath(outline);
+    paintRegion(painter, *regionFrom_, angleBetween(*regionFrom_, *regionTo_).radians());
+  } else if (keyRegion_) {
+    paintRegion(painter, *keyRegion_, keyRadius_);
   }
   Q_EMIT drawn();
 }
@@ -305,36 +304,57 @@ void HemisphereView::mouseReleaseEvent(QMouseEvent* event) {
   }
 }
 
+std::optional<Vector3d> HemisphereView::stepped(const Vector3d& from, QPointF steps) const {
+  return unproject(project(from) +
+                   kKeyStep * std::numbers::pi / 180 / rimAngle() * discRadius() * steps);
+}
+
+bool HemisphereView::editRegion(int key) {
+  switch (key) {
+    case Qt::Key_Plus:
+    case Qt::Key_Minus:
+      keyRadius_ = std::clamp(keyRadius_ * (key == Qt::Key_Plus ? 1.15 : 1 / 1.15), 0.03, 1.5);
+      if (!keyRegion_) keyRegion_ = Vector3d::UnitZ();
+      break;
+    case Qt::Key_Escape:
+      if (!keyRegion_) return false;
+      keyRegion_.reset();
+      break;
+    case Qt::Key_Delete:
+      if (!keyRegion_) return false;
+      Q_EMIT regionSelected(*std::exchange(keyRegion_, std::nullopt), keyRadius_);
+      break;
+    default:
+      return false;
+  }
+  update();
+  return true;
+}
+
 void HemisphereView::keyPressEvent(QKeyEvent* event) {
-  if (selected_ < 0 || selected_ >= static_cast<int>(handles_.size())) {
+  if (selectsRegions_ && editRegion(event->key())) return;
+  const bool handle = selected_ >= 0 && selected_ < static_cast<int>(handles_.size());
+  const std::map<int, QPointF> arrows{{Qt::Key_Left, {-1, 0}},
+                                      {Qt::Key_Right, {1, 0}},
+                                      {Qt::Key_Up, {0, -1}},
+                                      {Qt::Key_Down, {0, 1}}};
+  const auto arrow = arrows.find(event->key());
+  if ((!handle && !selectsRegions_) || arrow == arrows.end()) {
     QWidget::keyPressEvent(event);
     return;
   }
-  Handle& handle = handles_[static_cast<std::size_t>(selected_)];
-  QPointF step;
-  const double pixels = kKeyStep * std::numbers::pi / 180 / rimAngle() * discRadius();
-  switch (event->key()) {
-    case Qt::Key_Left:
-      step = {-pixels, 0};
-      break;
-    case Qt::Key_Right:
-      step = {pixels, 0};
-      break;
-    case Qt::Key_Up:
-      step = {0, -pixels};
-      break;
-    case Qt::Key_Down:
-      step = {0, pixels};
-      break;
-    default:
-      QWidget::keyPressEvent(event);
-      return;
+  if (handle) {
+    Vector3d& direction = handles_[static_cast<std::size_t>(selected_)].direction;
+    if (const auto next = stepped(direction, arrow->second)) {
+      direction = *next;
+      Q_EMIT handleMoved(selected_, *next);
+    }
+  } else {
+    // A circle that is not there yet begins in the middle; it moves faster than a lamp.
+    keyRegion_ = keyRegion_ ? stepped(*keyRegion_, 2 * arrow->second).value_or(*keyRegion_)
+                            : Vector3d::UnitZ();
   }
-  if (const auto direction = unproject(project(handle.direction) + step)) {
-    handle.direction = *direction;
-    update();
-    Q_EMIT handleMoved(selected_, *direction);
-  }
+  update();
 }
 
 bool HemisphereView::event(QEvent* event) {

@@ -46,7 +46,8 @@ class HemisphereView : public QWidget {
   // From the lamp to where it should go next.
   void setArrow(const std::optional<Eigen::Vector3d>& from,
                 const std::optional<Eigen::Vector3d>& to);
-  // With a rubber band: dragging on empty ground selects a region.
+  // Dragging on empty ground selects a region. With keys: the arrows move a circle, + and - size
+  // it, Delete selects what it holds, Esc puts it away.
   void setSelectsRegions(bool on) { selectsRegions_ = on; }
   void setMarkedDot(int index);
 
@@ -84,6 +85,10 @@ class HemisphereView : public QWidget {
   int handleAt(const QPointF& point) const;
   void paintDot(QPainter& painter, const Dot& dot) const;
   void paintGround();
+  void paintRegion(QPainter& painter, const Eigen::Vector3d& middle, double radius) const;
+  // Where a direction lies that many steps of an arrow key further right and down.
+  std::optional<Eigen::Vector3d> stepped(const Eigen::Vector3d& from, QPointF steps) const;
+  bool editRegion(int key);
 
   std::vector<Dot> dots_;
   std::vector<Handle> handles_;
@@ -99,6 +104,8 @@ class HemisphereView : public QWidget {
   bool dragging_ = false;
   std::optional<Eigen::Vector3d> regionFrom_;
   std::optional<Eigen::Vector3d> regionTo_;
+  std::optional<Eigen::Vector3d> keyRegion_;  // middle of the circle that keys move
+  double keyRadius_ = 0.2;                    // radians
 };
 
 }  // namespace lightsketch

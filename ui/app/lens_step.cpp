@@ -12,6 +12,7 @@
 
 #include "pipeline/job/calibrate_jobs.h"
 #include "ui/app/board_box.h"
+#include "ui/app/controls.h"
 #include "ui/app/frame_view.h"
 #include "ui/app/uncertainty_map.h"
 #include "ui/app/use_calibration.h"
@@ -150,15 +151,13 @@ LensStep::LensStep(Workspace& workspace, BoardBox& board, QWidget* parent)
   camera_->setToolTip(
       tr("Directions to the lamp come from the source camera's lens. The scene "
          "camera's is needed for lamps nearby and for poses."));
-  auto* cameraLabel = new QLabel(tr("&Lens of the"));
-  cameraLabel->setBuddy(camera_);
+  auto* cameraLabel = labelFor(camera_, tr("&Lens of the"));
   views_ = new QSpinBox;
   views_->setObjectName("lensViews");
   views_->setRange(3, 1000);
   views_->setValue(40);
   views_->setToolTip(tr("Views of the board to take; 20 to 40 give a certain result"));
-  auto* viewsLabel = new QLabel(tr("&from views"));
-  viewsLabel->setBuddy(views_);
+  auto* viewsLabel = labelFor(views_, tr("&from views"));
   for (QWidget* widget :
        std::initializer_list<QWidget*>{cameraLabel, camera_, viewsLabel, views_}) {
     form->addWidget(widget);
@@ -186,7 +185,9 @@ LensStep::LensStep(Workspace& workspace, BoardBox& board, QWidget* parent)
   }
   use_ = new QPushButton(tr("&Use this lens"));
   use_->setObjectName("useLens");
-  use_->setToolTip(tr("From now on recordings take directions from it (Ctrl+Z goes back)"));
+  use_->setToolTip(
+      tr("From now on recordings take directions from it; the scene camera's is for sketches under "
+         "near lamps (Ctrl+Z goes back)"));
   column->addWidget(use_);
   column->addStretch();
   across->addLayout(column, 3);
@@ -199,8 +200,8 @@ LensStep::LensStep(Workspace& workspace, BoardBox& board, QWidget* parent)
 
   connect(camera_, &QComboBox::currentIndexChanged, this, &LensStep::showCamera);
   connect(use_, &QPushButton::clicked, this, [this] {
-    CalibrationFiles files = calibrationInUse(this->workspace());
-    files.sourceModel = file_;
+    CalibrationFiles files = this->workspace().rig().setup();
+    (ofScene() ? files.sceneModel : files.sourceModel) = file_;
     useCalibration(this->workspace(), files);
     use_->setEnabled(false);
     use_->setText(tr("In use"));
@@ -210,6 +211,7 @@ LensStep::LensStep(Workspace& workspace, BoardBox& board, QWidget* parent)
 bool LensStep::ofScene() const { return camera_->currentIndex() == kScene; }
 
 void LensStep::showCamera() {
+  result_->hide();  // it is the other camera's
   pictures_->setCurrentWidget(ofScene() ? scenePicture_ : sourcePicture_);
 }
 
@@ -271,7 +273,6 @@ void LensStep::finished(const Result<JobResult>& result) {
   map_->setField(*field_);
   figures_->setText(describeLens(figures) + "<br>" + linkTo(report_, tr("Open the report")));
   advice_->setText(adviceOn(figures));
-  use_->setVisible(!ofScene());
   use_->setEnabled(true);
   use_->setText(tr("&Use this lens"));
   result_->show();

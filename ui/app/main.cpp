@@ -1,12 +1,41 @@
 // lightsketch-app [SKETCH|MODEL|FOLDER]
 #include <QCommandLineParser>
 #include <QDeadlineTimer>
+#include <QMouseEvent>
 #include <QTimer>
 #include <QWindow>
 #include <cstdio>
 
 #include "ui/app/application.h"
 #include "ui/app/main_window.h"
+#include "ui/app/relight_page.h"
+
+namespace lightsketch {
+namespace {
+
+// A hand that moves the mouse to and fro over the relit picture, its button held, with the 125
+// reports a second of a plain mouse.
+void dragOver(RelightView& view) {
+  auto* hand = new QTimer(&view);
+  hand->setTimerType(Qt::PreciseTimer);
+  const auto send = [&view](QEvent::Type type, int step) {
+    const int half = view.width() / 4;
+    const QPointF at(view.width() / 2 - half + std::abs(4 * step % (4 * half) - 2 * half),
+                     view.height() / 2);
+    QMouseEvent event(type, at, view.mapToGlobal(at),
+                      type == QEvent::MouseMove ? Qt::NoButton : Qt::LeftButton, Qt::LeftButton,
+                      Qt::NoModifier);
+    QCoreApplication::sendEvent(&view, &event);
+  };
+  QObject::connect(hand, &QTimer::timeout, &view, [send, step = 0]() mutable {
+    send(step == 0 ? QEvent::MouseButtonPress : QEvent::MouseMove, step);
+    ++step;
+  });
+  hand->start(8);
+}
+
+}  // namespace
+}  // namespace lightsketch
 
 int main(int argc, char** argv) {
   using namespace lightsketch;
@@ -27,7 +56,12 @@ int main(int argc, char** argv) {
   const QCommandLineOption page(
       "page", "Begin with this page: rig, calibrate, sketch, develop, relight, validate.", "NAME");
   const QCommandLineOption begin("begin", "Press the page's main button at once.");
+  const QCommandLineOption light(
+      "light", "Relight page: begin with lamp, three-lamps, surroundings, room or path.", "NAME");
+  const QCommandLineOption drag("drag", "Relight page: drag over the picture as a mouse would.");
   const QCommandLineOption seconds("for", "Quit after so many seconds.", "S");
+  const QCommandLineOption picture(
+      "picture", "Before it quits, save what the window shows to this file.", "FILE");
   const QCommandLineOption stats(
       "stats",
       "When it ends, print frame rates, latencies, dropped frames and how long the user "
@@ -44,8 +78,8 @@ int main(int argc, char** argv) {
                                  "FILE");
   const QCommandLineOption geometry("rig", "Where the cameras stand, of a calibration.", "FILE");
   const QCommandLineOption settings("settings", "Keep the settings in this file.", "FILE");
-  parser.addOptions({page, begin, seconds, stats, frames, rate, addresses, scene, source, model,
-                     geometry, settings});
+  parser.addOptions({page, begin, light, drag, seconds, picture, stats, frames, rate, addresses,
+                     scene, source, model, geometry, settings});
   parser.process(application);
 
   Workspace workspace(parser.value(settings));
@@ -90,12 +124,22 @@ int main(int argc, char** argv) {
     }
     if (parser.isSet(page)) window.showPage(parser.value(page));
     if (!window.currentPage()) window.showPage("rig");
+    if (parser.isSet(light) || parser.isSet(drag)) {
+      auto& relight = static_cast<RelightPage&>(*window.page("relight"));
+      if (!parser.value(light).isEmpty() && !relight.setLight(parser.value(light))) {
+        std::fprintf(stderr, "lightsketch-app: --light %s: no such light\n",
+                     qPrintable(parser.value(light)));
+        return 2;
+      }
+      if (parser.isSet(drag)) dragOver(relight.view());
+    }
     if (parser.isSet(begin)) {
       QTimer::singleShot(0, &window, [&] { window.currentPage()->begin(); });
     }
     if (parser.isSet(seconds)) {
       QTimer::singleShot(static_cast<int>(1000 * parser.value(seconds).toDouble()), &window, [&] {
         application.unwatch();  // closing waits for what runs
+        if (parser.isSet(picture)) window.grab().save(parser.value(picture));
         window.close();
       });
     }

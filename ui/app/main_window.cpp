@@ -20,6 +20,7 @@
 #include <QVBoxLayout>
 
 #include "ui/app/calibrate_page.h"
+#include "ui/app/controls.h"
 #include "ui/app/develop_page.h"
 #include "ui/app/relight_page.h"
 #include "ui/app/rig_page.h"
@@ -70,9 +71,7 @@ MainWindow::MainWindow(Workspace& workspace, const QString& firstPage, QWidget* 
   list_->setFixedWidth(116);
   list_->setFrameShape(QFrame::NoFrame);
   list_->setAccessibleName(tr("Pages"));
-  QFont large = list_->font();
-  large.setPointSizeF(large.pointSizeF() * 1.15);
-  list_->setFont(large);
+  enlarge(list_, 1.15);
   across->addWidget(list_);
   auto* column = new QVBoxLayout;
   column->setContentsMargins(0, 0, 0, 0);
@@ -194,6 +193,13 @@ void MainWindow::chooseToOpen(bool folder) {
 }
 
 void MainWindow::showMessage(const Workspace::Message& message) {
+  // Words that change do not take the button away from under the pointer.
+  if (const auto at = banners_.find(message.key); at != banners_.end()) {
+    const auto* button = at->second->findChild<QPushButton*>();
+    if (button && button->text() == message.action) {
+      return at->second->findChild<QLabel*>()->setText(message.text);
+    }
+  }
   withdrawMessage(message.key);
   auto* banner = new QFrame;
   banner->setObjectName("banner/" + message.key);

@@ -10,6 +10,7 @@
 
 #include "pipeline/job/calibrate_jobs.h"
 #include "ui/app/board_box.h"
+#include "ui/app/controls.h"
 #include "ui/app/frame_view.h"
 #include "ui/app/use_calibration.h"
 
@@ -41,9 +42,7 @@ PosesStep::PosesStep(Workspace& workspace, BoardBox& board, QWidget* parent)
   views_->setRange(3, 1000);
   views_->setValue(20);
   views_->setToolTip(tr("Views of the board that each camera is to get; some are of both at once"));
-  auto* label = new QLabel(tr("&Views for each camera"));
-  label->setBuddy(views_);
-  row->addWidget(label);
+  row->addWidget(labelFor(views_, tr("&Views for each camera")));
   row->addWidget(views_);
   row->addStretch();
   form->addLayout(row);
@@ -79,8 +78,9 @@ PosesStep::PosesStep(Workspace& workspace, BoardBox& board, QWidget* parent)
       tr("Some places should be seen by both cameras at once: hold the board over the subject, "
          "between them. The lenses come out too."));
   connect(use_, &QPushButton::clicked, this, [this] {
-    CalibrationFiles files = calibrationInUse(this->workspace());
+    CalibrationFiles files = this->workspace().rig().setup();
     files.sourceModel = folder_ / "source-1.json";
+    files.sceneModel = folder_ / "scene.json";
     files.rigGeometry = folder_ / "rig.json";
     useCalibration(this->workspace(), files);
     use_->setEnabled(false);

@@ -151,30 +151,26 @@ void EnvironmentPanel::choose() {
 
 void EnvironmentPanel::open(const std::filesystem::path& file) {
   ++preparing_;
-  auto map = std::make_shared<RadianceImage>();
-  Task* task = workspace().run(
-      file.empty() ? tr("Make the sky") : tr("Open %1").arg(toQString(file.filename())),
-      [file, map](Progress&, std::stop_token) -> Result<JobResult> {
-        if (file.empty()) {
-          *map = analyticSky();
-          return JobResult{};
-        }
-        ASSIGN_OR_RETURN(*map, readImage(file));
+  workspace().fetch(
+      file.empty() ? tr("Make the sky") : tr("Open %1").arg(toQString(file.filename())), this,
+      [file]() -> Result<RadianceImage> {
+        if (file.empty()) return analyticSky();
+        ASSIGN_OR_RETURN(RadianceImage map, readImage(file));
         // Refused here rather than when it is to light something.
         const std::vector<Eigen::Vector3d> any{Eigen::Vector3d::UnitZ()};
-        ASSIGN_OR_RETURN(const auto tried, TurnableEnvironment::create(*map, any));
+        ASSIGN_OR_RETURN(const auto tried, TurnableEnvironment::create(map, any));
         (void)tried;
-        return JobResult{};
+        return map;
+      },
+      [this, file, asked = preparing_](RadianceImage map) {
+        if (asked != preparing_) return;
+        file_ = file;
+        map_ = std::make_shared<RadianceImage>(std::move(map));
+        workspace().settings().setValue(kLastMap, toQString(file));
+        name_->setText(file.empty() ? tr("Built-in sky") : toQString(file.filename()));
+        strip_->setPicture(previewOf(*map_));
+        prepare();
       });
-  connect(task, &Task::finished, this, [this, task, map, file, asked = preparing_] {
-    if (!task->result() || asked != preparing_) return;
-    file_ = file;
-    map_ = map;
-    workspace().settings().setValue(kLastMap, toQString(file));
-    name_->setText(file.empty() ? tr("Built-in sky") : toQString(file.filename()));
-    strip_->setPicture(previewOf(*map_));
-    prepare();
-  });
 }
 
 void EnvironmentPanel::setScene(std::shared_ptr<const RelightScene> scene) {
@@ -186,18 +182,16 @@ void EnvironmentPanel::setScene(std::shared_ptr<const RelightScene> scene) {
 void EnvironmentPanel::prepare() {
   if (!scene() || scene()->model->singleLamp) return;
   ++preparing_;
-  auto made = std::make_shared<std::optional<TurnableEnvironment>>();
-  Task* task = workspace().run(
-      tr("Put the map around the model"),
-      [made, map = map_, model = scene()->model](Progress&, std::stop_token) -> Result<JobResult> {
-        ASSIGN_OR_RETURN(*made, TurnableEnvironment::create(*map, model->lights));
-        return JobResult{};
+  workspace().fetch(
+      tr("Put the map around the model"), this,
+      [map = map_, model = scene()->model] {
+        return TurnableEnvironment::create(*map, model->lights);
+      },
+      [this, asked = preparing_](TurnableEnvironment environment) {
+        if (asked != preparing_) return;
+        environment_ = std::move(environment);
+        Q_EMIT renewed();
       });
-  connect(task, &Task::finished, this, [this, task, made, asked = preparing_] {
-    if (!task->result() || asked != preparing_) return;
-    environment_ = *made;
-    Q_EMIT renewed();
-  });
 }
 
 std::optional<LightIntensities> EnvironmentPanel::light() {

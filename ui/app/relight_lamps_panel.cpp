@@ -105,15 +105,12 @@ LampsPanel::LampsPanel(Workspace& workspace, QWidget* parent) : RelightPanel(wor
     action->setToolTip(tip);
   };
   menu->setToolTipsVisible(true);
-  const QColor warm(255, 226, 190);
-  const QColor cool(190, 215, 255);
   preset(tr("One lamp"), tr("From the upper left, as drawings are lit"), {Lamp{}});
   preset(tr("Raking light"),
          tr("Low from the side: relief, tool marks and brush strokes stand out"),
          {{at(-75, 12), Qt::white, 1, 0}});
-  preset(
-      tr("Key, fill and rim"), tr("A warm lamp, a soft cool one against it, a low one from behind"),
-      {{at(-50, 45), warm, 1, 4}, {at(70, 40), cool, 0.35, 25}, {at(165, 15), Qt::white, 0.6, 2}});
+  preset(tr("Key, fill and rim"),
+         tr("A warm lamp, a soft cool one against it, a low one from behind"), threeLamps());
   preset(tr("Soft from all sides"), tr("Large lamps all round: colour without shadows"),
          {{at(-45, 50), Qt::white, 0.6, 35},
           {at(75, 50), Qt::white, 0.6, 35},
@@ -169,6 +166,13 @@ LampsPanel::LampsPanel(Workspace& workspace, QWidget* parent) : RelightPanel(wor
   lamps_ = {Lamp{}};
   showLamps();
   select(0);
+}
+
+std::vector<LampsPanel::Lamp> LampsPanel::threeLamps() {
+  const QColor warm(255, 226, 190);
+  const QColor cool(190, 215, 255);
+  return {
+      {at(-50, 45), warm, 1, 4}, {at(70, 40), cool, 0.35, 25}, {at(165, 15), Qt::white, 0.6, 2}};
 }
 
 void LampsPanel::setScene(std::shared_ptr<const RelightScene> scene) {

@@ -36,6 +36,8 @@ class LampsPanel final : public RelightPanel {
   const std::vector<Lamp>& lamps() const { return lamps_; }
   // With undo, under this name. Changes of one `gesture` above 0 become one step.
   void change(const QString& name, std::vector<Lamp> lamps, int gesture = 0);
+  // Key, fill and rim.
+  static std::vector<Lamp> threeLamps();
   // Without undo.
   void setLamps(std::vector<Lamp> lamps);
   int selected() const { return hemisphere_->selectedHandle(); }

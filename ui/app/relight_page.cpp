@@ -75,6 +75,9 @@ RelightPage::RelightPage(Workspace& workspace, QWidget* parent) : Page(workspace
     if (visible_) load();
   });
   connect(&workspace, &Workspace::sketchChanged, this, &RelightPage::listPhotographs);
+  Statistics& statistics = workspace.statistics();
+  statistics.expectAtMost("light's change to pixels, ms", 33, Statistics::Of::kP95);
+  statistics.expectAtMost("relit picture to the next, ms", 1000 / 60.0, Statistics::Of::kMedian);
   setLight(Light::kLamps);
   showExposure();
 }
@@ -105,15 +108,8 @@ void RelightPage::buildColumn() {
     auto* button = new QToolButton;
     button->setText(kinds[i].first);
     button->setToolTip(kinds[i].second);
-    button->setCheckable(true);
     button->setSizePolicy(QSizePolicy::Expanding, QSizePolicy::Fixed);
-    button->setMinimumHeight(30);
-    button->setStyleSheet(
-        "QToolButton { border: none; border-radius: 3px; background: palette(button); }"
-        "QToolButton:hover { background: palette(midlight); }"
-        "QToolButton:focus { border: 1px solid palette(highlight); }"
-        "QToolButton:checked { background: palette(highlight); color: palette(highlighted-text); }"
-        "QToolButton:disabled { color: palette(mid); }");
+    makeChoice(button);
     kinds_->addButton(button, i);
     row->addWidget(button);
   }
@@ -191,6 +187,7 @@ void RelightPage::buildColumn() {
       tr("The moving light as numbered pictures: one round of the lamps, one turn of the "
          "surroundings, or the whole path"));
   auto* fill = new QToolButton;
+  fill->setObjectName("fullScreen");
   fill->setText(tr("Full screen"));
   fill->setToolTip(tr("The picture alone (F11); Esc comes back"));
   fill->setPopupMode(QToolButton::MenuButtonPopup);
@@ -284,19 +281,26 @@ RelightPage::Light RelightPage::light() const { return static_cast<Light>(kinds_
 
 void RelightPage::setLight(Light light) { kinds_->button(static_cast<int>(light))->click(); }
 
+bool RelightPage::setLight(const QString& name) {
+  const auto kind = QStringList{"lamp", "surroundings", "room", "path"}.indexOf(name);
+  if (name == "three-lamps") {
+    lamps_->setLamps(LampsPanel::threeLamps());
+    setLight(Light::kLamps);
+  } else if (kind >= 0) {
+    setLight(static_cast<Light>(kind));
+  }
+  return kind >= 0 || name == "three-lamps";
+}
+
 void RelightPage::load() {
   wanted_ = workspace().model();
   if (wanted_.empty()) return use(nullptr);
-  auto loaded = std::make_shared<std::shared_ptr<RelightScene>>();
-  Task* task =
-      workspace().run(tr("Open %1").arg(toQString(wanted_.filename())),
-                      [loaded, file = wanted_](Progress&, std::stop_token) -> Result<JobResult> {
-                        ASSIGN_OR_RETURN(*loaded, RelightScene::load(file));
-                        return JobResult{};
-                      });
-  connect(task, &Task::finished, this, [this, task, loaded, file = wanted_] {
-    if (task->result() && file == wanted_) use(*loaded);
-  });
+  workspace().fetch(
+      tr("Open %1").arg(toQString(wanted_.filename())), this,
+      [file = wanted_] { return RelightScene::load(file); },
+      [this, file = wanted_](std::shared_ptr<RelightScene> loaded) {
+        if (file == wanted_) use(std::move(loaded));
+      });
 }
 
 void RelightPage::use(std::shared_ptr<RelightScene> scene) {
@@ -325,30 +329,31 @@ void RelightPage::listPhotographs() {
   sketch_ = scene_->model->sketch;
   if (!std::filesystem::exists(sketch_ / "sketch.json")) sketch_ = workspace().sketch();
   if (sketch_.empty()) return;
-  auto ids = std::make_shared<std::vector<std::pair<int, QString>>>();
-  Task* task = workspace().run(
-      tr("List the photographs"),
-      [ids, folder = sketch_, model = scene_->model](Progress&,
-                                                     std::stop_token) -> Result<JobResult> {
+  using Names = std::vector<std::pair<int, QString>>;
+  workspace().fetch(
+      tr("List the photographs"), this,
+      [folder = sketch_, model = scene_->model]() -> Result<Names> {
+        Names names;
         ASSIGN_OR_RETURN(const auto sketch, Sketch::open(folder));
         // Another picture's sketch is no comparison.
         if (sketch.manifest().width != model->layout.width ||
             sketch.manifest().height != model->layout.height) {
-          return JobResult{};
+          return names;
         }
         const bool heldOut = !model->heldOutIds.empty();
         for (const int id : heldOut ? model->heldOutIds : sketch.activeFrames()) {
           if (id < 0 || id >= static_cast<int>(sketch.frames().size())) continue;
-          ids->emplace_back(id, heldOut ? RelightPage::tr("Photograph %1, not in the model").arg(id)
-                                        : RelightPage::tr("Photograph %1").arg(id));
+          names.emplace_back(id, heldOut
+                                     ? RelightPage::tr("Photograph %1, not in the model").arg(id)
+                                     : RelightPage::tr("Photograph %1").arg(id));
         }
-        return JobResult{};
+        return names;
+      },
+      [this, folder = sketch_](const Names& names) {
+        if (folder != sketch_ || photographs_->count() > 1) return;
+        for (const auto& [id, name] : names) photographs_->addItem(name, id);
+        photographs_->setEnabled(photographs_->count() > 1);
       });
-  connect(task, &Task::finished, this, [this, task, ids, folder = sketch_] {
-    if (!task->result() || folder != sketch_ || photographs_->count() > 1) return;
-    for (const auto& [id, name] : *ids) photographs_->addItem(name, id);
-    photographs_->setEnabled(photographs_->count() > 1);
-  });
 }
 
 void RelightPage::compareWith(int frame) {
@@ -361,29 +366,28 @@ void RelightPage::compareWith(int frame) {
     RadianceImage picture;
     Eigen::Vector3d direction;
   };
-  auto read = std::make_shared<Read>();
-  Task* task = workspace().run(
-      tr("Read photograph %1").arg(frame),
-      [read, frame, folder = sketch_](Progress&, std::stop_token) -> Result<JobResult> {
+  workspace().fetch(
+      tr("Read photograph %1").arg(frame), this,
+      [frame, folder = sketch_]() -> Result<Read> {
+        Read read;
         ASSIGN_OR_RETURN(const auto sketch, Sketch::open(folder));
-        ASSIGN_OR_RETURN(read->picture, sketch.readFrame(frame));
+        ASSIGN_OR_RETURN(read.picture, sketch.readFrame(frame));
         const FrameRecord& record = sketch.frames()[static_cast<std::size_t>(frame)];
-        read->direction = record.light.direction;
-        for (std::size_t i = 0; i < read->picture.size(); ++i) {
-          read->picture.data()[i] /= static_cast<float>(record.lampScale[i % 3]);
+        read.direction = record.light.direction;
+        for (std::size_t i = 0; i < read.picture.size(); ++i) {
+          read.picture.data()[i] /= static_cast<float>(record.lampScale[i % 3]);
         }
-        return JobResult{};
+        return read;
+      },
+      [this, frame](Read read) {
+        photograph_ = std::move(read.picture);
+        photographs_->setCurrentIndex(photographs_->findData(frame));
+        setLight(Light::kLamps);
+        lamps_->setMoving(false);
+        lamps_->change(tr("Lamp of a photograph"), {{read.direction}});
+        exposureDue_ = true;
+        showExposure();
       });
-  connect(task, &Task::finished, this, [this, task, read, frame] {
-    if (!task->result()) return;
-    photograph_ = std::move(read->picture);
-    photographs_->setCurrentIndex(photographs_->findData(frame));
-    setLight(Light::kLamps);
-    lamps_->setMoving(false);
-    lamps_->change(tr("Lamp of a photograph"), {{read->direction}});
-    exposureDue_ = true;
-    showExposure();
-  });
 }
 
 void RelightPage::watchMotion() {
@@ -493,6 +497,14 @@ void RelightPage::fillScreen(QScreen* screen) {
   fullScreen_->activateWindow();
 }
 
+void RelightPage::tellOfSaved(Task* task) {
+  connect(task, &Task::finished, this, [this, task] {
+    if (!task->result()) return;
+    workspace().say({"relight/saved", Workspace::Level::kInfo,
+                     tr("Saved %1").arg(QString::fromStdString(task->result()->text))});
+  });
+}
+
 void RelightPage::savePicture(const std::filesystem::path& file) {
   const auto light = panel().light();
   if (!scene_ || !light) return;
@@ -502,11 +514,7 @@ void RelightPage::savePicture(const std::filesystem::path& file) {
        tone = static_cast<Tone>(tone_->currentIndex()), file](Progress&, std::stop_token) {
         return savePictureJob(*model, light, exposure, tone, file);
       });
-  connect(task, &Task::finished, this, [this, task] {
-    if (!task->result()) return;
-    workspace().say({"relight/saved", Workspace::Level::kInfo,
-                     tr("Saved %1").arg(QString::fromStdString(task->result()->text))});
-  });
+  tellOfSaved(task);
 }
 
 void RelightPage::saveFilm(const std::filesystem::path& folder, double framesPerSecond) {
@@ -518,11 +526,7 @@ void RelightPage::saveFilm(const std::filesystem::path& folder, double framesPer
   Task* task = workspace().run(
       tr("Save %1").arg(toQString(folder.filename())),
       [job](Progress& progress, std::stop_token) { return filmJob(job, progress); });
-  connect(task, &Task::finished, this, [this, task] {
-    if (!task->result()) return;
-    workspace().say({"relight/saved", Workspace::Level::kInfo,
-                     tr("Saved %1").arg(QString::fromStdString(task->result()->text))});
-  });
+  tellOfSaved(task);
 }
 
 void RelightPage::chooseWhereToSave(bool film) {

@@ -39,6 +39,8 @@ class RelightPage final : public Page {
   void begin() override;  // the light moves
 
   void setLight(Light light);
+  // "lamp", "three-lamps", "surroundings", "room", "path"; false: it is none of them.
+  bool setLight(const QString& name);
   Light light() const;
   RelightView& view() const { return *view_; }
   LampsPanel& lamps() const { return *lamps_; }
@@ -77,6 +79,7 @@ class RelightPage final : public Page {
   void tell();
   void fillDisplays();
   void chooseWhereToSave(bool film);
+  void tellOfSaved(Task* task);
   void connectView(RelightView& view);
 
   std::shared_ptr<RelightScene> scene_;

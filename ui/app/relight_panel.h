@@ -1,7 +1,6 @@
 // One kind of light on the relight page.
 #pragma once
 
-#include <QLabel>
 #include <QLayout>
 #include <QPointF>
 #include <QSlider>
@@ -10,6 +9,7 @@
 #include <memory>
 #include <optional>
 
+#include "ui/app/controls.h"
 #include "ui/app/relight_scene.h"
 #include "ui/app/workspace.h"
 
@@ -54,8 +54,8 @@ class RelightPanel : public QWidget {
 // A label and a slider under it, which the label names.
 inline QSlider* addSlider(QLayout& column, const QString& text, const QString& tip, int least,
                           int most, int value) {
-  auto* label = new QLabel(text);
   auto* slider = new QSlider(Qt::Horizontal);
+  auto* label = labelFor(slider, text);
   slider->setRange(least, most);
   slider->setValue(value);
   slider->setPageStep(std::max(1, (most - least) / 10));
@@ -64,16 +64,7 @@ inline QSlider* addSlider(QLayout& column, const QString& text, const QString& t
     widget->setToolTip(tip);
     column.addWidget(widget);
   }
-  label->setBuddy(slider);
   return slider;
-}
-
-// Grey words that explain.
-inline QLabel* explained(const QString& text) {
-  auto* label = new QLabel(text);
-  label->setWordWrap(true);
-  label->setForegroundRole(QPalette::PlaceholderText);
-  return label;
 }
 
 }  // namespace lightsketch

@@ -24,6 +24,7 @@ PathPanel::PathPanel(Workspace& workspace, QWidget* parent) : RelightPanel(works
   hemisphere_->setAccessibleName(tr("Path of the lamp"));
   column->addWidget(hemisphere_, 1);
   time_ = addSlider(*column, tr("Time"), tr("Where on its path the lamp is"), 0, kTicks, 0);
+  time_->setObjectName("pathTime");
   speed_ = addSlider(*column, tr("Speed"), tr("From an eighth to eight times as fast"),
                      -3 * kDouble, 3 * kDouble, 0);
   auto* row = new QHBoxLayout;
@@ -72,18 +73,17 @@ void PathPanel::useSketch() {
   std::filesystem::path folder = scene()->model->sketch;
   if (!std::filesystem::exists(folder / "sketch.json")) folder = workspace().sketch();
   if (folder.empty()) return;
-  auto path = std::make_shared<LightPath>();
-  Task* task = workspace().run(tr("Read the lamp's path"),
-                               [folder, path](Progress&, std::stop_token) -> Result<JobResult> {
-                                 ASSIGN_OR_RETURN(const auto sketch, Sketch::open(folder));
-                                 *path = LightPath::ofSketch(sketch);
-                                 return JobResult{};
-                               });
-  connect(task, &Task::finished, this, [this, task, path, folder, model = scene()->model] {
-    if (!task->result() || !scene() || scene()->model != model || !ownPath_ || path->empty())
-      return;
-    setPath(*path, tr("The lamp's path while %1 was recorded").arg(toQString(folder.filename())));
-  });
+  workspace().fetch(
+      tr("Read the lamp's path"), this,
+      [folder]() -> Result<LightPath> {
+        ASSIGN_OR_RETURN(const auto sketch, Sketch::open(folder));
+        return LightPath::ofSketch(sketch);
+      },
+      [this, folder, model = scene()->model](LightPath path) {
+        if (!scene() || scene()->model != model || !ownPath_ || path.empty()) return;
+        setPath(std::move(path),
+                tr("The lamp's path while %1 was recorded").arg(toQString(folder.filename())));
+      });
 }
 
 void PathPanel::open(const std::filesystem::path& file) {

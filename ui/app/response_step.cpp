@@ -13,6 +13,7 @@
 
 #include "calibration/model/sensor_model.h"
 #include "pipeline/job/calibrate_jobs.h"
+#include "ui/app/controls.h"
 #include "ui/app/frame_view.h"
 #include "ui/app/response_plot.h"
 #include "ui/app/use_calibration.h"
@@ -61,11 +62,9 @@ ResponseStep::ResponseStep(Workspace& workspace, QWidget* parent)
   form->setHorizontalSpacing(6);
   const auto add = [&](int row, int column, const QString& text, QWidget* widget,
                        const QString& name, const QString& tip) {
-    auto* label = new QLabel(text);
-    label->setBuddy(widget);
     widget->setObjectName(name);
     widget->setToolTip(tip);
-    form->addWidget(label, row, column);
+    form->addWidget(labelFor(widget, text), row, column);
     form->addWidget(widget, row, column + 1);
   };
   camera_ = new QComboBox;
@@ -131,7 +130,7 @@ ResponseStep::ResponseStep(Workspace& workspace, QWidget* parent)
       tr("Point the camera at a still scene with bright and dark parts, under a steady light, and "
          "keep away while its exposure goes from the shortest to the longest."));
   connect(use_, &QPushButton::clicked, this, [this] {
-    CalibrationFiles files = calibrationInUse(this->workspace());
+    CalibrationFiles files = this->workspace().rig().setup();
     files.sceneResponse = folder_ / "response.json";
     useCalibration(this->workspace(), files);
     use_->setEnabled(false);

@@ -271,12 +271,8 @@ void RigLink::reopen() {
   });
 }
 
-void RigLink::setCalibration(const std::filesystem::path& sourceModel,
-                             const std::filesystem::path& rigGeometry,
-                             const std::filesystem::path& sceneResponse) {
-  setup_.sourceModel = sourceModel;
-  setup_.rigGeometry = rigGeometry;
-  setup_.sceneResponse = sceneResponse;
+void RigLink::setCalibration(const CalibrationFiles& files) {
+  static_cast<CalibrationFiles&>(setup_) = files;
   Q_EMIT setupChanged();
 }
 

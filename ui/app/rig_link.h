@@ -17,17 +17,22 @@
 
 namespace lightsketch {
 
+struct CalibrationFiles {
+  std::filesystem::path sourceModel;    // of the source camera's lens; empty: not calibrated
+  std::filesystem::path rigGeometry;    // empty: source camera upright at the subject
+  std::filesystem::path sceneResponse;  // empty: a linear sensor
+  std::filesystem::path sceneModel;     // of the scene camera's lens; only for near lamps
+};
+
 // What stands on the table. Remembered from one start to the next.
-struct RigSetup {
+struct RigSetup : CalibrationFiles {
   bool simulated = true;    // the rig of this program, started by it
   SimulatedRigOptions rig;  // in that case
   std::string sceneCamera;  // addresses, else
   std::string sourceCamera;
-  std::filesystem::path sourceModel;    // of the source camera's lens; empty: not calibrated
-  std::filesystem::path rigGeometry;    // empty: source camera upright at the subject
-  std::filesystem::path sceneResponse;  // empty: a linear sensor
-  CameraSettings scene{PixelFormat::kBayerRG12, {}, 0.02, 0.0, 12.0};  // as RecorderOptions has it
-  CameraSettings source{{}, {}, 0.001, 0.0, 12.0};
+  CameraSettings scene{
+      PixelFormat::kBayerRG12, {}, 0.02, 0.0, 12.0, {}};  // as RecorderOptions has it
+  CameraSettings source{{}, {}, 0.001, 0.0, 12.0, {}};
 };
 
 // Lives on the UI thread; opening, configuring and closing happen on a thread of its own, so that a
@@ -53,9 +58,7 @@ class RigLink final : public QObject {
   // A closed or failed link is tried again.
   void reopen();
   // Calibration files that are used from now on; the cameras go on as they are.
-  void setCalibration(const std::filesystem::path& sourceModel,
-                      const std::filesystem::path& rigGeometry,
-                      const std::filesystem::path& sceneResponse);
+  void setCalibration(const CalibrationFiles& files);
   // Settings of a running camera, which pauses for some of them; the answer comes as configured().
   // What it accepts, or what nobody is there to refuse, is remembered in setup().
   void configureScene(const CameraSettings& settings);

@@ -14,6 +14,7 @@
 #include <cmath>
 
 #include "ui/app/camera_panel.h"
+#include "ui/app/controls.h"
 
 namespace lightsketch {
 namespace {
@@ -94,9 +95,7 @@ QLayout* RigPage::buildCameras() {
   auto* row = new QHBoxLayout;
   row->setSpacing(8);
   const auto add = [&](const QString& text, QWidget* widget, int stretch) {
-    auto* label = new QLabel(text);
-    label->setBuddy(widget);
-    row->addWidget(label);
+    row->addWidget(labelFor(widget, text));
     row->addWidget(widget, stretch);
   };
   mode_ = new QComboBox;
@@ -180,6 +179,10 @@ QLayout* RigPage::buildFiles() {
   add("responseFile", tr("Response"),
       tr("What the scene camera's counts mean. Without it the sensor is taken to be linear."),
       &CalibrationFiles::sceneResponse);
+  add("sceneLensFile", tr("Scene lens"),
+      tr("Of the scene camera: for sketches of flat subjects under near lamps, whose fall-off the "
+         "Develop page takes out."),
+      &CalibrationFiles::sceneModel);
   row->addStretch(1);
   calibrate_ = new QPushButton(tr("Calibrate"));
   calibrate_->setObjectName("calibrate");
@@ -273,10 +276,10 @@ void RigPage::showState() {
 
 void RigPage::showFiles() {
   const RigSetup& setup = workspace().rig().setup();
-  const CalibrationFiles used = calibrationInUse(workspace());
   for (const File& file : files_) {
-    const std::filesystem::path& path = used.*file.which;
-    const bool own = setup.simulated && file.which != &CalibrationFiles::sceneResponse;
+    const std::filesystem::path& path = setup.*file.which;
+    const bool own = setup.simulated && (file.which == &CalibrationFiles::sourceModel ||
+                                         file.which == &CalibrationFiles::rigGeometry);
     file.label->setText(!path.empty() ? toQString(path.filename())
                         : own         ? tr("the simulated rig's own")
                                       : tr("none"));
@@ -306,7 +309,7 @@ void RigPage::chooseFile(const QString& title, std::filesystem::path Calibration
 
 void RigPage::use(std::filesystem::path CalibrationFiles::*which,
                   const std::filesystem::path& file) {
-  CalibrationFiles files = calibrationInUse(workspace());
+  CalibrationFiles files = workspace().rig().setup();
   files.*which = file;
   useCalibration(workspace(), files);
 }

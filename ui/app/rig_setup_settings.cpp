@@ -52,6 +52,7 @@ void saveRigSetup(QSettings& settings, const RigSetup& setup) {
   settings.setValue("rig/sourceModel", textOf(setup.sourceModel));
   settings.setValue("rig/rigGeometry", textOf(setup.rigGeometry));
   settings.setValue("rig/sceneResponse", textOf(setup.sceneResponse));
+  settings.setValue("rig/sceneModel", textOf(setup.sceneModel));
   saveCamera(settings, "rig/scene", setup.scene);
   saveCamera(settings, "rig/source", setup.source);
 }
@@ -65,6 +66,7 @@ RigSetup loadRigSetup(const QSettings& settings) {
   setup.sourceModel = text("rig/sourceModel");
   setup.rigGeometry = text("rig/rigGeometry");
   setup.sceneResponse = text("rig/sceneResponse");
+  setup.sceneModel = text("rig/sceneModel");
   setup.scene = loadCamera(settings, "rig/scene", setup.scene);
   setup.source = loadCamera(settings, "rig/source", setup.source);
   return setup;

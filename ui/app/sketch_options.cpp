@@ -15,6 +15,7 @@
 #include <QVBoxLayout>
 
 #include "pipeline/job/jobs.h"
+#include "ui/app/controls.h"
 #include "ui/app/workspace.h"
 
 namespace lightsketch {
@@ -64,9 +65,7 @@ SketchOptions::SketchOptions(Workspace& workspace, QWidget* parent)
   auto* where = new QHBoxLayout;
   where->addWidget(folder_, 1);
   where->addWidget(choose);
-  auto* folderLabel = new QLabel(tr("&Folder"));
-  folderLabel->setBuddy(folder_);
-  form->addRow(folderLabel, where);
+  form->addRow(labelFor(folder_, tr("&Folder")), where);
   note_ = new QLabel;
   note_->setObjectName("folderNote");
   note_->setWordWrap(true);

@@ -17,6 +17,7 @@
 
 #include "capture/frame/direction.h"
 #include "pipeline/job/jobs.h"
+#include "ui/app/controls.h"
 #include "ui/app/frame_view.h"
 #include "ui/app/sketch_edits.h"
 #include "ui/app/sketch_options.h"
@@ -28,13 +29,10 @@ namespace {
 using Eigen::Vector3d;
 
 constexpr int kTickMilliseconds = 200;
-constexpr double kRefusedDotSeconds = 1.5;
 constexpr std::size_t kPathSteps = 120;    // on the hemisphere
 constexpr double kRefusedToneSeconds = 1;  // between two
 constexpr double kLampLostSeconds = 0.7;   // until it is said
-constexpr double kGoodSeconds = 0.25;      // that a kept frame is shown
 constexpr double kReconnectSeconds = 1800;
-constexpr double kThereDegrees = 3;  // nearer than this there is no arrow
 
 enum Side { kOptionsSide, kTallySide, kLessonsSide };
 
@@ -51,20 +49,10 @@ class TakeBack final : public QUndoCommand {
   std::function<void()> undo_;
 };
 
-QString minutes(double seconds) {
-  const int whole = static_cast<int>(std::ceil(seconds));
-  return QString("%1:%2").arg(whole / 60).arg(whole % 60, 2, 10, QChar('0'));
-}
-
-QLabel* caption(const QString& text) {
-  auto* label = new QLabel(text);
-  label->setForegroundRole(QPalette::PlaceholderText);
-  return label;
-}
-
 }  // namespace
 
-SketchPage::SketchPage(Workspace& workspace, QWidget* parent) : Page(workspace, parent) {
+SketchPage::SketchPage(Workspace& workspace, QWidget* parent)
+    : Page(workspace, parent), dots_(overlay_) {
   auto* column = new QVBoxLayout(this);
   column->setContentsMargins(10, 8, 10, 8);
   column->setSpacing(6);
@@ -146,7 +134,11 @@ QWidget* SketchPage::buildViews() {
   hemisphere_ = new HemisphereView;
   hemisphere_->setObjectName("hemisphere");
   hemisphere_->setAccessibleName(tr("Light directions, as seen standing before the subject"));
+  hemisphere_->setToolTip(tr(
+      "Wanted directions. Frames in a dragged circle are deleted, to be shot again (Ctrl+Z brings "
+      "them back). With keys: arrows move a circle, + and - size it, Delete takes it."));
   hemisphere_->setSelectsRegions(true);
+  dots_.setHemisphere(hemisphere_);
   const auto stack = [&](QWidget* view, QLabel* below, int stretch) {
     auto* column = new QVBoxLayout;
     column->setSpacing(3);
@@ -158,13 +150,13 @@ QWidget* SketchPage::buildViews() {
     return QString("<span style='color:%1'>%2</span>").arg(colourOf(dot).name(), sign);
   };
   stack(source_,
-        caption(tr("%1 captured  %2 to do  %3 refused  %4 the lamp's way")
-                    .arg(spot(SketchDot::kCaptured, "\u25cf"), spot(SketchDot::kOpen, "\u25cb"),
-                         spot(SketchDot::kRefused, "\u2715"),
-                         "<span style='color:#ffa826'>\u2014</span>")),
+        explained(tr("%1 captured  %2 to do  %3 refused  %4 the lamp's way")
+                      .arg(spot(SketchDot::kCaptured, "\u25cf"), spot(SketchDot::kOpen, "\u25cb"),
+                           spot(SketchDot::kRefused, "\u2715"),
+                           "<span style='color:#ffa826'>\u2014</span>")),
         5);
-  stack(hemisphere_, caption(tr("Seen from the camera. Drag a circle to delete and shoot again.")),
-        5);
+  stack(hemisphere_,
+        explained(tr("Seen from the camera. Drag a circle to delete and shoot again.")), 5);
   row->addWidget(buildSide(), 3);
   return views;
 }
@@ -220,9 +212,7 @@ QWidget* SketchPage::buildButtons() {
   };
   record_ = button("record", tr("&Record"), {}, &SketchPage::begin);
   record_->setMinimumWidth(150);
-  QFont bold = record_->font();
-  bold.setBold(true);
-  record_->setFont(bold);
+  enlarge(record_, 1, true);
   pause_ = button("pause", tr("&Pause"),
                   tr("Frames are let go until you go on; the cameras keep running (Space)"),
                   &SketchPage::togglePause);
@@ -318,56 +308,16 @@ void SketchPage::takePlan(const SketchWish& wish, const Result<SketchPlan>& plan
   }
   plan_ = *plan;
   wishes_->showPlan(plan_);
-  overlay_.setPlan(plan_);
   source_->setFlipped(plan_.flipLeftRight, plan_.flipUpsideDown);
-  hemisphere_->setWholeSphere(plan_.wholeSphere);
   hemisphere_->setArrow({}, {});
   hemisphere_->setPath({}, {});
-  std::vector<HemisphereView::Dot> dots;
-  dots_.clear();
-  const double radius = std::clamp(60.0 / std::sqrt(plan_.grid->size()), 1.5, 5.0);
-  for (const Vector3d& direction : plan_.grid->directions()) {
-    dots.push_back({direction, colourOf(SketchDot::kOpen), radius, true, {}});
-    dots_.push_back(SketchDot::kOpen);
-  }
-  for (std::size_t i = 0; i < dots.size(); ++i) {
-    if (!plan_.captured[i]) continue;
-    dots_[i] = SketchDot::kCaptured;
-    dots[i].colour = colourOf(SketchDot::kCaptured);
-    dots[i].hollow = false;
-    overlay_.setDot(static_cast<int>(i), SketchDot::kCaptured);
-  }
-  hemisphere_->setDots(std::move(dots));
+  dots_.setPlan(plan_);
   source_->update();
   if (phase_ == Phase::kWaitingForCameras && workspace().rig().state() == RigLink::State::kLive) {
     return record();
   }
   refreshControls();
   refreshPrompt();
-}
-
-void SketchPage::showDot(int index, SketchDot dot) {
-  auto& shown = dots_.at(static_cast<std::size_t>(index));
-  if (shown == dot) return;
-  shown = dot;
-  HemisphereView::Dot changed = hemisphere_->dots()[static_cast<std::size_t>(index)];
-  changed.colour = colourOf(dot);
-  changed.hollow = dot == SketchDot::kOpen;
-  if (dot != SketchDot::kRefused) changed.tip.clear();
-  hemisphere_->setDot(index, changed);
-  overlay_.setDot(index, dot);
-}
-
-void SketchPage::showCaptured(const std::vector<bool>& captured) {
-  for (std::size_t i = 0; i < std::min(captured.size(), dots_.size()); ++i) {
-    const int index = static_cast<int>(i);
-    if (captured[i]) {
-      refused_.erase(index);
-      showDot(index, SketchDot::kCaptured);
-    } else if (dots_[i] == SketchDot::kCaptured) {
-      showDot(index, SketchDot::kOpen);
-    }
-  }
 }
 
 // --- Recording ----------------------------------------------------------------------------------
@@ -386,27 +336,26 @@ void SketchPage::begin() {
 
 void SketchPage::record() {
   RigLink& rig = workspace().rig();
-  job_ = rig.recordJob();
-  wishes_->fill(job_);
+  now_.job = rig.recordJob();
+  wishes_->fill(now_.job);
   if (plan_.exists && plan_.capturedCount >= wishes_->coverageGoal() * plan_.grid->size()) {
-    job_.recorder.coverageGoal = 1;  // whoever goes on all the same wants the rest
+    now_.job.recorder.coverageGoal = 1;  // whoever goes on all the same wants the rest
   }
-  job_.reconnectSeconds = kReconnectSeconds;
+  now_.job.reconnectSeconds = kReconnectSeconds;
   session_ = std::make_shared<SketchSession>(
       [this] { QMetaObject::invokeMethod(this, &SketchPage::look, Qt::QueuedConnection); });
-  job_.control = &session_->control();
+  now_.job.control = &session_->control();
 
   phase_ = Phase::kRecording;
-  state_ = {};
-  state_.coverage =
+  now_.state = {};
+  now_.state.coverage =
       plan_.exists ? static_cast<double>(plan_.capturedCount) / plan_.grid->size() : 0;
-  pace_ = {};
+  now_.pace = {};
   outcome_.clear();
-  begun_ = Clock::now();
-  ambientSince_.reset();
+  now_.begun = Clock::now();
+  now_.ambientSince.reset();
   unseenSince_.reset();
   captured_.reset();
-  refused_.clear();
   path_.clear();
   kept_.clear();
   for (const auto& [id, light] : plan_.frames) kept_.push_back({light});
@@ -416,12 +365,12 @@ void SketchPage::record() {
   workspace().undo().clear();
 
   rig.lend();
-  task_ =
-      workspace().run(toQString(job_.sketch.filename()),
-                      [job = job_, session = session_](Progress& progress, std::stop_token stop) {
-                        return recordJob(job, progress, std::move(stop),
-                                         [&](const RecorderState& state) { session->put(state); });
-                      });
+  task_ = workspace().run(
+      toQString(now_.job.sketch.filename()),
+      [job = now_.job, session = session_](Progress& progress, std::stop_token stop) {
+        return recordJob(job, progress, std::move(stop),
+                         [&](const RecorderState& state) { session->put(state); });
+      });
   connect(task_, &Task::finished, this, [this, task = task_.data()] { ended(task->result()); });
   tally_->clear();
   side_->setCurrentIndex(kTallySide);
@@ -431,7 +380,7 @@ void SketchPage::record() {
 
 void SketchPage::togglePause() {
   if (phase_ != Phase::kRecording) return;
-  session_->control().pause(!state_.paused);
+  session_->control().pause(!now_.state.paused);
 }
 
 void SketchPage::stop() {
@@ -449,28 +398,28 @@ void SketchPage::look() {
   if (!session_ || (phase_ != Phase::kRecording && phase_ != Phase::kEnding)) return;
   auto news = session_->take();
   if (!news) return;
-  const bool wasPaused = state_.paused;
-  state_ = std::move(news->state);
-  if (state_.captured && state_.captured != captured_) {
-    captured_ = state_.captured;
-    showCaptured(*captured_);
+  const bool wasPaused = now_.state.paused;
+  now_.state = std::move(news->state);
+  if (now_.state.captured && now_.state.captured != captured_) {
+    captured_ = now_.state.captured;
+    dots_.setCaptured(*captured_);
   }
   for (const JudgedFrame& judged : news->judged) follow(judged);
   followCameras();
 
-  overlay_.addLamp(state_.lampCamera == 0 ? state_.lamp : std::nullopt);
-  if (state_.lampDirection) {
-    if (path_.empty() || path_.back() != *state_.lampDirection) {
-      path_.push_back(*state_.lampDirection);
+  overlay_.addLamp(now_.state.lampCamera == 0 ? now_.state.lamp : std::nullopt);
+  if (now_.state.lampDirection) {
+    if (path_.empty() || path_.back() != *now_.state.lampDirection) {
+      path_.push_back(*now_.state.lampDirection);
     }
     while (path_.size() > kPathSteps) path_.pop_front();
   }
   std::optional<int> target;
-  if (state_.nextDirection) target = plan_.grid->nearest(*state_.nextDirection);
+  if (now_.state.nextDirection) target = plan_.grid->nearest(*now_.state.nextDirection);
   overlay_.setTarget(target);
   hemisphere_->setPath({path_.begin(), path_.end()}, palette().color(QPalette::Highlight));
-  hemisphere_->setArrow(state_.lampDirection, state_.nextDirection);
-  if (state_.paused != wasPaused) refreshControls();
+  hemisphere_->setArrow(now_.state.lampDirection, now_.state.nextDirection);
+  if (now_.state.paused != wasPaused) refreshControls();
   refreshPrompt();
 }
 
@@ -479,7 +428,7 @@ void SketchPage::follow(const JudgedFrame& judged) {
     measuredFrom_ = Clock::now();
     sceneDrawn_ = sourceDrawn_ = 0;
   }
-  pace_.add(judged);
+  now_.pace.add(judged);
   const bool kept = judged.refusal == Refusal::kNone;
   if (kept) {
     ++keptCount_;
@@ -492,37 +441,37 @@ void SketchPage::follow(const JudgedFrame& judged) {
   }
   const RefusalWords words = wordsFor(judged.refusal);
   if (words.shout.isEmpty()) return;
-  if (toSeconds(judged.decided - spoke_) > kRefusedToneSeconds && pace_.trouble(judged.decided)) {
+  if (toSeconds(judged.decided - spoke_) > kRefusedToneSeconds &&
+      now_.pace.trouble(judged.decided)) {
     spoke_ = judged.decided;
     sounds_.play(Sounds::Tone::kRefused);
   }
   if (!judged.direction) return;
-  const int nearest = plan_.grid->nearest(*judged.direction);
-  if (dots_[static_cast<std::size_t>(nearest)] == SketchDot::kCaptured) return;
-  refused_[nearest] = judged.decided;
-  showDot(nearest, SketchDot::kRefused);
-  if (isVisible()) waitingDots_.push_back(judged.arrival);
+  if (dots_.refuse(plan_.grid->nearest(*judged.direction), judged.decided) && isVisible()) {
+    waitingDots_.push_back(judged.arrival);
+  }
 }
 
 // A camera that was lost, and a lamp.
 void SketchPage::followCameras() {
-  if (!state_.waitingFor.empty()) {
-    QString text = QString::fromStdString(state_.waitingFor);
+  if (!now_.state.waitingFor.empty()) {
+    QString text = QString::fromStdString(now_.state.waitingFor);
     text[0] = text[0].toUpper();
-    workspace().withdraw("warning/" + task_->title());  // says the same
-    workspace().say({"recording", Workspace::Level::kWarning,
+    cameraLost_ = true;
+    // In the place of the task's own warning.
+    workspace().say({"warning/" + task_->title(), Workspace::Level::kWarning,
                      tr("%1. All %2 frames are kept; the recording goes on as soon as it is back.")
                          .arg(text)
-                         .arg(state_.recorded),
+                         .arg(now_.state.recorded),
                      tr("Stop recording"), [this] { stop(); }});
-    ambientSince_.reset();
+    now_.ambientSince.reset();
     return;
   }
-  workspace().withdraw("recording");
-  if (state_.lampWantedOff && !ambientSince_) ambientSince_ = Clock::now();
-  if (!state_.lampWantedOff) ambientSince_.reset();
+  if (std::exchange(cameraLost_, false)) workspace().withdraw("warning/" + task_->title());
+  if (now_.state.lampWantedOff && !now_.ambientSince) now_.ambientSince = Clock::now();
+  if (!now_.state.lampWantedOff) now_.ambientSince.reset();
   const TimePoint now = Clock::now();
-  if (state_.lampDirection || state_.lampWantedOff || state_.paused) {
+  if (now_.state.lampDirection || now_.state.lampWantedOff || now_.state.paused) {
     unseenSince_ = now + fromSeconds(kLampLostSeconds);
   } else if (unseenSince_ && now > *unseenSince_) {
     unseenSince_.reset();
@@ -532,23 +481,14 @@ void SketchPage::followCameras() {
 
 // Things that end by time.
 void SketchPage::tick() {
-  const TimePoint now = Clock::now();
-  for (auto at = refused_.begin(); at != refused_.end();) {
-    if (toSeconds(now - at->second) < kRefusedDotSeconds) {
-      ++at;
-      continue;
-    }
-    if (dots_[static_cast<std::size_t>(at->first)] == SketchDot::kRefused) {
-      showDot(at->first, SketchDot::kOpen);
-    }
-    at = refused_.erase(at);
-  }
+  dots_.expire(Clock::now());
   if (phase_ != Phase::kRecording) return;
   refreshPrompt();
   measure();
-  QString text =
-      tr("<b>%1</b><br>%2 frames kept").arg(toQString(job_.sketch.filename())).arg(state_.recorded);
-  for (const auto& [refusal, count] : state_.refusals) {
+  QString text = tr("<b>%1</b><br>%2 frames kept")
+                     .arg(toQString(now_.job.sketch.filename()))
+                     .arg(now_.state.recorded);
+  for (const auto& [refusal, count] : now_.state.refusals) {
     if (!wordsFor(refusal).shout.isEmpty()) {
       text += QString("<br>%1: %2").arg(wordsFor(refusal).name).arg(count);
     }
@@ -559,7 +499,7 @@ void SketchPage::tick() {
 void SketchPage::ended(const Result<JobResult>& result) {
   look();
   measure();
-  workspace().withdraw("recording");
+  if (std::exchange(cameraLost_, false)) workspace().withdraw("warning/" + task_->title());
   workspace().rig().giveBack();
   phase_ = Phase::kIdle;
   hemisphere_->setArrow({}, {});
@@ -568,16 +508,17 @@ void SketchPage::ended(const Result<JobResult>& result) {
   if (!result) {
     outcome_.clear();
     side_->setCurrentIndex(kOptionsSide);
-    if (std::filesystem::exists(job_.sketch / "sketch.json")) workspace().setSketch(job_.sketch);
+    if (std::filesystem::exists(now_.job.sketch / "sketch.json"))
+      workspace().setSketch(now_.job.sketch);
     replan();
     refreshControls();
     return refreshPrompt();
   }
   const Json& figures = result->figures;
   const double coverage = figures.value("coverage", 0.0);
-  const bool done = coverage >= job_.recorder.coverageGoal - 1e-9;
+  const bool done = coverage >= now_.job.recorder.coverageGoal - 1e-9;
   if (done) sounds_.play(Sounds::Tone::kDone);
-  workspace().setSketch(job_.sketch);  // empties the undo stack: it was the recorder's
+  workspace().setSketch(now_.job.sketch);  // empties the undo stack: it was the recorder's
   outcome_ = done ? tr("Done") : tr("Stopped");
   outcomeDetail_ = tr("%1 frames recorded. Develop makes the picture; Space goes on recording.")
                        .arg(figures.value("recorded", 0));
@@ -585,7 +526,7 @@ void SketchPage::ended(const Result<JobResult>& result) {
   side_->setCurrentIndex(kLessonsSide);
   workspace().say({"recorded", Workspace::Level::kInfo,
                    tr("%1: %2 % of the directions are there.")
-                       .arg(toQString(job_.sketch.filename()))
+                       .arg(toQString(now_.job.sketch.filename()))
                        .arg(100 * coverage, 0, 'f', 1),
                    tr("Develop"), [this] { workspace().show("develop"); }});
   refreshControls();
@@ -595,7 +536,7 @@ void SketchPage::ended(const Result<JobResult>& result) {
 // What was refused and how to do better, the most frequent first.
 void SketchPage::teach() {
   std::vector<std::pair<int, Refusal>> counts;
-  for (const auto& [refusal, count] : state_.refusals) counts.emplace_back(count, refusal);
+  for (const auto& [refusal, count] : now_.state.refusals) counts.emplace_back(count, refusal);
   std::sort(counts.rbegin(), counts.rend());
   QString text;
   for (const auto& [count, refusal] : counts) {
@@ -646,7 +587,7 @@ void SketchPage::refreshControls() {
   record_->setVisible(!recording && phase_ != Phase::kEnding);
   record_->setEnabled(idle && planTrouble_.isEmpty());
   pause_->setVisible(recording);
-  pause_->setText(state_.paused ? tr("Go &on") : tr("&Pause"));
+  pause_->setText(now_.state.paused ? tr("Go &on") : tr("&Pause"));
   stop_->setVisible(!idle);
   stop_->setEnabled(phase_ != Phase::kEnding);
   new_->setVisible(idle && plan_.exists);
@@ -662,7 +603,8 @@ void SketchPage::refreshControls() {
 }
 
 void SketchPage::refreshPrompt() {
-  prompt_->setContent(phase_ == Phase::kRecording ? recordingPrompt() : idlePrompt());
+  prompt_->setContent(phase_ == Phase::kRecording ? now_.prompt(plan_.grid->size(), *hemisphere_)
+                                                  : idlePrompt());
 }
 
 SketchPrompt::Content SketchPage::idlePrompt() const {
@@ -673,7 +615,7 @@ SketchPrompt::Content SketchPage::idlePrompt() const {
   }
   const RigLink& rig = workspace().rig();
   if (phase_ == Phase::kEnding) {
-    content.coverage = state_.coverage;
+    content.coverage = now_.state.coverage;
     content.word = tr("One moment");
     content.detail = tr("The last frames are written.");
   } else if (!outcome_.isEmpty() && phase_ == Phase::kIdle) {
@@ -701,88 +643,6 @@ SketchPrompt::Content SketchPage::idlePrompt() const {
   return content;
 }
 
-SketchPrompt::Content SketchPage::recordingPrompt() const {
-  const TimePoint now = Clock::now();
-  SketchPrompt::Content content;
-  content.coverage = state_.coverage;
-  content.goal = job_.recorder.coverageGoal;
-  if (!state_.waitingFor.empty()) {
-    content.word = tr("Camera lost");
-    content.detail =
-        tr("Everything so far is kept. Look after its cable and power; the recording goes on by "
-           "itself.");
-    content.mood = SketchPrompt::Mood::kTrouble;
-    return content;
-  }
-  if (!state_.grid) {
-    content.word = tr("One moment");
-    content.detail = tr("The cameras are being opened. Have the lamp at hand, switched off.");
-    return content;
-  }
-  if (state_.paused) {
-    content.word = tr("Paused");
-    content.detail =
-        tr("Space goes on. Drag a circle on the hemisphere to delete and shoot again.");
-    return content;
-  }
-  if (state_.lampWantedOff) {
-    const double left = job_.recorder.ambientSeconds - toSeconds(now - ambientSince_.value_or(now));
-    content.word = tr("Lamp off, please");
-    content.detail =
-        left > 0 ? tr("The room's own light is measured: %1 s").arg(left, 0, 'f', 1)
-                 : tr("The room's own light is measured, as soon as it is as dark as it gets.");
-    return content;
-  }
-  content.rate = QString::number(qRound(pace_.keptPerMinute(now)));
-  content.left = timeLeft();
-  if (const auto refusal = pace_.trouble(now)) {
-    const RefusalWords words = wordsFor(*refusal);
-    content.word = words.shout;
-    content.detail =
-        *refusal == Refusal::kLampNotSeen && !state_.lampTrouble.empty()
-            ? tr("%1. %2").arg(QString::fromStdString(state_.lampTrouble), words.lesson)
-            : words.lesson;
-    content.mood = SketchPrompt::Mood::kTrouble;
-  }
-  if (state_.nextDirection && state_.lampDirection) {
-    const double away = angleBetween(*state_.lampDirection, *state_.nextDirection).degrees();
-    content.there = away < kThereDegrees;
-    if (!content.there) {
-      content.arrow =
-          hemisphere_->project(*state_.nextDirection) - hemisphere_->project(*state_.lampDirection);
-    }
-    if (content.word.isEmpty()) {
-      content.word = !job_.recorder.bracket.empty() && content.there ? tr("Hold still")
-                                                                     : tr("Follow the arrow");
-      content.detail = tr("%1\u00b0 to the next gap. Lamp known to \u00b1%2\u00b0.")
-                           .arg(qRound(away))
-                           .arg(state_.directionSigma.degrees(), 0, 'f', 1);
-    }
-  } else if (content.word.isEmpty()) {
-    content.word = tr("Lamp on");
-    content.detail = state_.lampTrouble.empty()
-                         ? tr("Hold it up so that the source camera sees it.")
-                         : QString::fromStdString(state_.lampTrouble);
-  }
-  if (content.mood == SketchPrompt::Mood::kCalm && pace_.keptWithin(now, kGoodSeconds)) {
-    content.mood = SketchPrompt::Mood::kGood;
-  }
-  return content;
-}
-
-QString SketchPage::timeLeft() const {
-  const TimePoint now = Clock::now();
-  const double missing = (job_.recorder.coverageGoal - state_.coverage) * plan_.grid->size();
-  const double perMinute = pace_.keptPerMinute(now);
-  std::optional<double> seconds;
-  if (perMinute > 0.5) seconds = std::max(0.0, 60 * missing / perMinute);
-  if (job_.recorder.timeLimitSeconds) {
-    const double limit = std::max(0.0, *job_.recorder.timeLimitSeconds - toSeconds(now - begun_));
-    seconds = std::min(seconds.value_or(limit), limit);
-  }
-  return seconds ? minutes(*seconds) : QString();
-}
-
 // --- Statistics ---------------------------------------------------------------------------------
 
 void SketchPage::dotsDrawn() {
@@ -797,8 +657,8 @@ void SketchPage::measure() {
   if (!measuredFrom_) return;
   Statistics& statistics = workspace().statistics();
   const double seconds = toSeconds(Clock::now() - *measuredFrom_);
-  std::uint64_t dropped = state_.droppedByQueues + state_.scene.underruns;
-  for (const StreamStatistics& source : state_.sources) dropped += source.underruns;
+  std::uint64_t dropped = now_.state.droppedByQueues + now_.state.scene.underruns;
+  for (const StreamStatistics& source : now_.state.sources) dropped += source.underruns;
   statistics.set("frames dropped by the program", static_cast<double>(dropped));
   statistics.set("scene view, frames a second", sceneDrawn_ / seconds);
   statistics.set("source view, frames a second", sourceDrawn_ / seconds);

@@ -3,17 +3,16 @@
 
 #include <QPointer>
 #include <deque>
-#include <map>
 #include <memory>
 #include <optional>
 #include <vector>
 
 #include "ui/app/hemisphere_view.h"
 #include "ui/app/page.h"
+#include "ui/app/sketch_dots.h"
 #include "ui/app/sketch_overlay.h"
-#include "ui/app/sketch_pace.h"
 #include "ui/app/sketch_plan.h"
-#include "ui/app/sketch_prompt.h"
+#include "ui/app/sketch_progress.h"
 #include "ui/app/sketch_session.h"
 #include "ui/app/sounds.h"
 #include "ui/app/task.h"
@@ -55,8 +54,6 @@ class SketchPage final : public Page {
   // What the sketch holds and wants, read in the background.
   void replan();
   void takePlan(const SketchWish& wish, const Result<SketchPlan>& plan);
-  void showDot(int index, SketchDot dot);
-  void showCaptured(const std::vector<bool>& captured);
 
   void record();
   void togglePause();
@@ -73,8 +70,6 @@ class SketchPage final : public Page {
   void refreshControls();
   void refreshPrompt();
   SketchPrompt::Content idlePrompt() const;
-  SketchPrompt::Content recordingPrompt() const;
-  QString timeLeft() const;
   void dotsDrawn();
   void measure();
 
@@ -94,27 +89,23 @@ class SketchPage final : public Page {
   QToolButton* mute_ = nullptr;
   Sounds sounds_;
   SketchOverlay overlay_;
+  SketchDots dots_;
 
   SketchPlan plan_;
   QString planTrouble_;
-  std::vector<SketchDot> dots_;
   bool planning_ = false;
   bool planAgain_ = false;
 
   Phase phase_ = Phase::kIdle;
   std::shared_ptr<SketchSession> session_;
   QPointer<Task> task_;
-  RecordJob job_;  // of the present or the last recording
-  RecorderState state_;
-  SketchPace pace_;
-  QString outcome_;  // of the last recording, in a word; empty: none of this sketch
+  SketchProgress now_;  // of the present or the last recording
+  QString outcome_;     // of the last recording, in a word; empty: none of this sketch
   QString outcomeDetail_;
-  TimePoint begun_;
-  std::optional<TimePoint> ambientSince_;
   TimePoint spoke_;                       // a refusal was heard
   std::optional<TimePoint> unseenSince_;  // the lamp, and it was not heard yet
   std::shared_ptr<const std::vector<bool>> captured_;
-  std::map<int, TimePoint> refused_;  // dots, and since when
+  bool cameraLost_ = false;  // and a banner says so
   std::vector<Kept> kept_;
   std::deque<Eigen::Vector3d> path_;
   // For the statistics.

@@ -6,19 +6,15 @@
 namespace lightsketch {
 namespace {
 
-void apply(RigLink& rig, const CalibrationFiles& files) {
-  rig.setCalibration(files.sourceModel, files.rigGeometry, files.sceneResponse);
-}
-
 class Use final : public QUndoCommand {
  public:
   Use(Workspace& workspace, CalibrationFiles files)
       : QUndoCommand(Workspace::tr("change of calibration")),
         rig_(workspace.rig()),
-        before_(calibrationInUse(workspace)),
+        before_(workspace.rig().setup()),
         after_(std::move(files)) {}
-  void redo() override { apply(rig_, after_); }
-  void undo() override { apply(rig_, before_); }
+  void redo() override { rig_.setCalibration(after_); }
+  void undo() override { rig_.setCalibration(before_); }
 
  private:
   RigLink& rig_;
@@ -27,11 +23,6 @@ class Use final : public QUndoCommand {
 };
 
 }  // namespace
-
-CalibrationFiles calibrationInUse(Workspace& workspace) {
-  const RigSetup& setup = workspace.rig().setup();
-  return {setup.sourceModel, setup.rigGeometry, setup.sceneResponse};
-}
 
 void useCalibration(Workspace& workspace, const CalibrationFiles& files) {
   workspace.undo().push(new Use(workspace, files));

@@ -7,12 +7,6 @@
 
 namespace lightsketch {
 
-struct CalibrationFiles {
-  std::filesystem::path sourceModel;
-  std::filesystem::path rigGeometry;
-  std::filesystem::path sceneResponse;
-};
-CalibrationFiles calibrationInUse(Workspace& workspace);
 void useCalibration(Workspace& workspace, const CalibrationFiles& files);
 
 // Where calibrations made by this program go: the setting "calibration/folder", else beside its

@@ -7,7 +7,6 @@
 #include <QHeaderView>
 #include <QLabel>
 #include <QMenu>
-#include <QPainter>
 #include <QProgressBar>
 #include <QPushButton>
 #include <QShortcut>
@@ -23,6 +22,8 @@
 #include "capture/frame/file.h"
 #include "pipeline/compress/compress.h"
 #include "pipeline/sketch/lp.h"
+#include "ui/app/colour_scale.h"
+#include "ui/app/controls.h"
 #include "ui/app/hemisphere_view.h"
 #include "ui/app/picture_view.h"
 #include "ui/app/worker.h"
@@ -34,25 +35,6 @@ namespace {
 enum Column { kFrame, kPsnr, kSsim, kError, kNearest, kInside, kX, kY, kZ, kColumns };
 enum Subject { kModelAtHand, kNewSmall, kNewStandard, kNewArchive };
 
-// Red, amber, blue: ordered for every eye, seen on dark and on light.
-QColor colourAt(double part) {
-  static const QColor kStops[] = {"#d7301f", "#f0a030", "#9ecae1", "#2f7fd0"};
-  const double at = std::clamp(part, 0.0, 1.0) * 3;
-  const int i = std::min(2, static_cast<int>(at));
-  const auto mix = [&](int a, int b) { return static_cast<int>(a + (at - i) * (b - a)); };
-  return {mix(kStops[i].red(), kStops[i + 1].red()), mix(kStops[i].green(), kStops[i + 1].green()),
-          mix(kStops[i].blue(), kStops[i + 1].blue())};
-}
-
-double numberAt(const Json& object, const char* name) {
-  const auto at = object.find(name);
-  return at != object.end() && at->is_number() ? at->get<double>() : std::nan("");
-}
-
-QString shown(double value, int digits) {
-  return std::isfinite(value) ? QString::number(value, 'f', digits) : QString("\u2013");
-}
-
 // A number that sorts as one.
 QStandardItem* numberItem(double value, int digits) {
   auto* item = new QStandardItem(shown(value, digits));
@@ -63,81 +45,6 @@ QStandardItem* numberItem(double value, int digits) {
 }
 
 }  // namespace
-
-// What the colours of the map mean.
-class ColourScale final : public QWidget {
- public:
-  explicit ColourScale(QWidget* parent = nullptr) : QWidget(parent) { setFixedHeight(34); }
-  void setRange(double low, double high) {
-    low_ = low;
-    high_ = high;
-    update();
-  }
-  QColor colourOf(double value) const { return colourAt((value - low_) / (high_ - low_)); }
-
- protected:
-  void paintEvent(QPaintEvent*) override {
-    QPainter painter(this);
-    const QRect bar(10, 2, width() - 20, 10);
-    QLinearGradient gradient(bar.topLeft(), bar.topRight());
-    for (int i = 0; i <= 9; ++i) gradient.setColorAt(i / 9.0, colourAt(i / 9.0));
-    painter.fillRect(bar, gradient);
-    painter.setPen(palette().color(QPalette::WindowText));
-    const QRect text(0, 14, width(), 20);
-    painter.drawText(text.adjusted(10, 0, 0, 0), Qt::AlignLeft,
-                     ValidatePage::tr("%1 dB, worse").arg(low_, 0, 'f', 0));
-    painter.drawText(text.adjusted(0, 0, -10, 0), Qt::AlignRight,
-                     ValidatePage::tr("better, %1 dB").arg(high_, 0, 'f', 0));
-  }
-
- private:
-  double low_ = 20;
-  double high_ = 40;
-};
-
-struct ValidatePage::Report {
-  struct Light {
-    int id = 0;
-    QString origin;
-    Eigen::Vector3d direction = Eigen::Vector3d::UnitZ();
-    bool insideHull = false;
-    double nearest = 0;  // degrees
-    double psnr = 0, ssim = 0, relative = 0;
-  };
-  std::filesystem::path folder;
-  Json figures;
-  std::vector<Light> lights;
-  double pictureExposure = 1;
-
-  static Result<std::shared_ptr<const Report>> read(const std::filesystem::path& folder) {
-    auto report = std::make_shared<Report>();
-    report->folder = folder;
-    ASSIGN_OR_RETURN(report->figures, readJsonFile(folder / "report.json"));
-    try {
-      const Json& figures = report->figures;
-      if (figures.at("format") != "lightsketch-validation") throw std::runtime_error("");
-      report->pictureExposure = figures.value("pictureExposure", 1.0);
-      for (const Json& entry : figures.at("lights")) {
-        Light light;
-        light.id = entry.at("id").get<int>();
-        light.origin = QString::fromStdString(entry.value("origin", std::string()));
-        const auto xyz = entry.at("direction").get<std::vector<double>>();
-        light.direction = {xyz.at(0), xyz.at(1), xyz.at(2)};
-        light.insideHull = entry.at("insideHull").get<bool>();
-        light.nearest = numberAt(entry, "nearestCapturedDegrees");
-        light.psnr = numberAt(entry, "psnrDb");
-        light.ssim = numberAt(entry, "ssim");
-        light.relative = numberAt(entry, "relativeError");
-        report->lights.push_back(light);
-      }
-    } catch (const std::exception&) {
-      return failure(ErrorCode::kCorrupt,
-                     "{}: not what `lightsketch validate` wrote; validate the sketch again",
-                     (folder / "report.json").string());
-    }
-    return report;
-  }
-};
 
 struct ValidatePage::Sources {
   Sketch sketch;
@@ -189,11 +96,9 @@ QWidget* ValidatePage::buildBar() {
   row->setContentsMargins(0, 0, 0, 0);
   const auto labelled = [&](const QString& text, QComboBox* box, const char* name,
                             const QString& tip) {
-    auto* label = new QLabel(text);
-    label->setBuddy(box);
     box->setObjectName(name);
     box->setToolTip(tip);
-    row->addWidget(label);
+    row->addWidget(labelFor(box, text));
     row->addWidget(box);
     return box;
   };
@@ -218,9 +123,7 @@ QWidget* ValidatePage::buildBar() {
       tr("Compares each frame kept back with the model's picture under the same "
          "light (Ctrl+Return)"));
   validate_->setMinimumHeight(36);
-  QFont bold = validate_->font();
-  bold.setBold(true);
-  validate_->setFont(bold);
+  enlarge(validate_, 1, true);
   row->addWidget(validate_);
   progress_ = new QProgressBar;
   progress_->setObjectName("validateProgress");
@@ -327,9 +230,7 @@ QWidget* ValidatePage::buildRight() {
   auto* row = new QHBoxLayout;
   caption_ = new QLabel;
   caption_->setObjectName("lightCaption");
-  QFont large = caption_->font();
-  large.setPointSizeF(large.pointSizeF() * 1.15);
-  caption_->setFont(large);
+  enlarge(caption_, 1.15);
   row->addWidget(caption_, 1);
   const auto button = [&](const char* name, const QString& text, QKeyCombination key,
                           const QString& tip) {
@@ -457,19 +358,11 @@ void ValidatePage::validateNow() {
       tr("Validate %1").arg(toQString(job.sketch.filename())),
       [job](Progress& progress, std::stop_token) { return validateJob(job, progress); });
   validate_->setText(tr("Cancel"));
-  progress_->setRange(0, 0);
-  progress_->show();
-  connect(task_, &Task::progressed, progress_,
-          [this](const QString& stage, double fraction, double) {
-            progress_->setRange(0, fraction < 0 ? 0 : 1000);
-            if (fraction >= 0) progress_->setValue(qRound(1000 * fraction));
-            progress_->setFormat(stage);
-          });
+  follow(task_, progress_);
   connect(task_, &Task::finished, this, [this, task = task_, job] {
     task_ = nullptr;
     validate_->setText(tr("Validate"));
     validate_->setEnabled(!workspace().sketch().empty());
-    progress_->hide();
     if (task->result()) workspace().setReport(job.report);
   });
 }
@@ -478,7 +371,7 @@ void ValidatePage::load() {
   const auto folder = workspace().report();
   worker_->withdraw("sources");
   worker_->ask("report", [this, folder](const std::stop_token&) -> Worker::Show {
-    auto report = Report::read(folder);
+    auto report = StoredReport::read(folder);
     if (!report) {
       return [this, text = QString::fromStdString(report.error().message)] {
         workspace().say({"report", Workspace::Level::kError, text});
@@ -488,7 +381,7 @@ void ValidatePage::load() {
   });
 }
 
-void ValidatePage::show(std::shared_ptr<const Report> report) {
+void ValidatePage::show(std::shared_ptr<const StoredReport> report) {
   report_ = std::move(report);
   sources_ = nullptr;
   problem_.clear();
@@ -516,48 +409,11 @@ void ValidatePage::show(std::shared_ptr<const Report> report) {
   }
 
   const Json& figures = report_->figures;
-  QString text = "<table cellspacing='0' cellpadding='3' width='100%'><tr>";
-  for (const QString& head : {QString(), tr("lights"), tr("PSNR dB"), tr("SSIM"), tr("error %")})
-    text += QString("<th align='%1'>%2</th>").arg(head.isEmpty() ? "left" : "right", head);
-  text += "</tr>";
-  const auto line = [&](const QString& name, const QString& count, const Json& error, bool bold) {
-    text += QString("<tr><td>%1</td><td align='right'>%2</td>").arg(name, count);
-    const std::pair<double, int> values[] = {{numberAt(error, "psnrDb"), 2},
-                                             {numberAt(error, "ssim"), 4},
-                                             {100 * numberAt(error, "relativeError"), 2}};
-    for (const auto& [value, digits] : values) {
-      text += QString(bold ? "<td align='right'><b>%1</b></td>" : "<td align='right'>%1</td>")
-                  .arg(shown(value, digits));
-    }
-    text += "</tr>";
-  };
-  const auto mean = [&](const char* key, const QString& name, bool bold) {
-    const Json error = figures.value(key, Json::object());
-    line(name, QString::number(error.value("count", 0)), error, bold);
-  };
-  mean("mean", tr("<b>all kept back</b>"), true);
-  mean("insideHull", tr("inside"), false);
-  mean("outsideHull", tr("outside"), false);
-  for (const auto& [key, name] :
-       {std::pair{"worst", tr("worst")}, {"median", tr("median")}, {"best", tr("best")}}) {
-    const int id = figures.value(key, -1);
-    const auto& lights = figures.at("lights");
-    const auto at = std::ranges::find_if(
-        lights, [&](const Json& light) { return light.at("id").get<int>() == id; });
-    if (at != lights.end()) line(name, QString("#%1").arg(id), *at, false);
-  }
-  text += "</table>";
-  if (const auto size = figures.find("size"); size != figures.end()) {
-    text += tr("<p style='margin:4px'>%1 MB, %2 bits per pixel, %3 : 1 against half floats</p>")
-                .arg(numberAt(*size, "bytes") / 1e6, 0, 'f', 2)
-                .arg(numberAt(*size, "bitsPerPixel"), 0, 'f', 1)
-                .arg(numberAt(*size, "ratioToHalf"), 0, 'f', 0);
-  }
-  figures_->setText(text);
+  figures_->setText(report_->table());
 
   double low = 1e9;
   double high = -1e9;
-  for (const Report::Light& light : report_->lights) {
+  for (const StoredReport::Light& light : report_->lights) {
     low = std::min(low, light.psnr);
     high = std::max(high, light.psnr);
     QList<QStandardItem*> items;
@@ -573,7 +429,7 @@ void ValidatePage::show(std::shared_ptr<const Report> report) {
     rows_->appendRow(items);
   }
   // As the report's map: a black frame is predicted at 60 dB and more by any model.
-  for (const Report::Light& light : report_->lights) {
+  for (const StoredReport::Light& light : report_->lights) {
     if (light.id == figures.value("median", -1)) high = std::min(high, light.psnr + 15);
   }
   low = std::floor(low);
@@ -633,7 +489,7 @@ void ValidatePage::take(std::shared_ptr<const Sources> sources, const QString& p
 void ValidatePage::fillDots() {
   std::vector<HemisphereView::Dot> dots;
   bool behind = false;
-  for (const Report::Light& light : report_->lights) {
+  for (const StoredReport::Light& light : report_->lights) {
     dots.push_back({light.direction, scale_->colourOf(light.psnr), 6, false,
                     tr("Frame %1: %2 dB").arg(light.id).arg(light.psnr, 0, 'f', 1)});
     behind |= light.direction.z() < 0;
@@ -657,7 +513,7 @@ void ValidatePage::select(int light) {
   const QModelIndex index = sorted_->mapFromSource(rows_->index(light, 0));
   if (table_->currentIndex().row() != index.row()) table_->setCurrentIndex(index);
   table_->scrollTo(index);
-  const Report::Light& at = report_->lights[static_cast<std::size_t>(light)];
+  const StoredReport::Light& at = report_->lights[static_cast<std::size_t>(light)];
   caption_->setText(
       tr("<b>Frame %1</b> &nbsp; %2 dB &nbsp; SSIM %3 &nbsp; error %4 % &nbsp; nearest captured "
          "light %5\u00b0 away%6")

@@ -13,6 +13,7 @@
 #include "pipeline/validate/validate.h"
 #include "ui/app/page.h"
 #include "ui/app/task.h"
+#include "ui/app/stored_report.h"
 
 class QComboBox;
 class QLabel;
@@ -45,7 +46,6 @@ class ValidatePage final : public Page {
   void exportPictures(const std::filesystem::path& folder);
 
  private:
-  struct Report;   // report.json as the page shows it
   struct Sources;  // the sketch and the model that it is about
 
   QWidget* buildBar();
@@ -55,14 +55,14 @@ class ValidatePage final : public Page {
   void chooseFromModel(const QString& holdOut, bool readable);
   void validateNow();
   void load();
-  void show(std::shared_ptr<const Report> report);
+  void show(std::shared_ptr<const StoredReport> report);
   void take(std::shared_ptr<const Sources> sources, const QString& problem);
   void fillDots();
   void select(int light);  // index into the report's lights
   void step(int worseBy);  // along the table
   void draw();
 
-  std::shared_ptr<const Report> report_;
+  std::shared_ptr<const StoredReport> report_;
   std::shared_ptr<const Sources> sources_;
   QString problem_;  // why there are no pictures
   bool staleModel_ = true;

@@ -51,6 +51,21 @@ class Workspace final : public QObject {
   // Runs it in the background, shown in the status bar with progress and cancel. A failure becomes
   // a message. The task deletes itself after finished().
   Task* run(const QString& title, Task::Work work);
+  // The same for a value, which `then` gets on the UI thread if all went well and `receiver` is
+  // still there. `work`: Result<Value>().
+  template <class Work, class Then>
+  Task* fetch(const QString& title, const QObject* receiver, Work work, Then then) {
+    auto value = std::make_shared<std::optional<decltype(work())>>();
+    Task* task = run(title, [value, work](Progress&, std::stop_token) -> Result<JobResult> {
+      *value = work();
+      if (!**value) return tl::unexpected<Error>((*value)->error());
+      return JobResult{};
+    });
+    connect(task, &Task::finished, receiver, [task, value, then] {
+      if (task->result()) then(std::move(***value));
+    });
+    return task;
+  }
   // How many run. Tasks are cancelled and waited for by cancelAll(), which the window calls last.
   int running() const { return static_cast<int>(tasks_.size()); }
   void cancelAll();

@@ -9,8 +9,18 @@
 #include <QWidget>
 
 #include "ui/app/main_window.h"
+#include "ui/app/theme.h"
 
 namespace lightsketch {
+
+// Milliseconds that something may take, on a busy machine. Sanitizers are slow.
+constexpr int patience(int milliseconds) {
+#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
+  return 6 * milliseconds;
+#else
+  return milliseconds;
+#endif
+}
 
 class AppTest {
  public:
@@ -37,10 +47,15 @@ class AppTest {
     const auto* label = frame ? frame->findChild<QLabel*>() : nullptr;
     return label ? label->text() : QString();
   }
+  // In both themes.
   void screenshot(const QString& name) {
-    QTest::qWait(100);
     QDir().mkpath(LIGHTSKETCH_SCREENSHOTS);
-    window_.grab().save(QString(LIGHTSKETCH_SCREENSHOTS "/%1.png").arg(name));
+    for (const char* theme : {"light", "dark"}) {
+      applyTheme(theme);
+      QTest::qWait(100);
+      const QString suffix = theme == QString("light") ? "-light" : "";
+      window_.grab().save(QString(LIGHTSKETCH_SCREENSHOTS "/%1%2.png").arg(name, suffix));
+    }
   }
 
  private:

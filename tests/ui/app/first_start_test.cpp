@@ -20,9 +20,9 @@
 namespace lightsketch {
 namespace {
 
-constexpr int kStart = 60'000;  // the rig builds its still life first
-constexpr int kLong = 120'000;  // work that takes seconds on an idle machine
-constexpr int kRecord = 200'000;
+constexpr int kStart = patience(60'000);  // the rig builds its still life first
+constexpr int kLong = patience(120'000);  // work that takes seconds on an idle machine
+constexpr int kRecord = patience(200'000);
 
 RigSetup atHome() {
   RigSetup setup;

@@ -1,12 +1,16 @@
 #include "ui/app/relight_page.h"
 
 #include <QComboBox>
+#include <QGuiApplication>
+#include <QMenu>
 #include <QPushButton>
 #include <QSignalSpy>
 #include <QTest>
+#include <QToolButton>
 #include <cmath>
 #include <memory>
 
+#include "capture/frame/file.h"
 #include "pipeline/compress/compress.h"
 #include "pipeline/illumination/light_grid.h"
 #include "pipeline/sketch/image_file.h"
@@ -112,7 +116,10 @@ class RelightPageTest : public QObject {
     made->model.sketch = sketch_.string();
     model_ = toPath(folder_.filePath("ball.lsd"));
     QVERIFY(saveModel(made->model, model_).has_value());
-    app_ = std::make_unique<AppTest>();
+    RigSetup setup;
+    setup.rig.sceneAddress = "127.0.44.11";
+    setup.rig.sourceAddress = "127.0.44.12";
+    app_ = std::make_unique<AppTest>(setup);
   }
   void cleanupTestCase() { app_.reset(); }
 
@@ -213,6 +220,43 @@ class RelightPageTest : public QObject {
     app.screenshot("relight-path");
   }
 
+  void aLightsFileIsAPath() {
+    AppTest& app = *app_;
+    RelightPage& page = opened(app);
+    idle(app);
+    const auto file = app.path("lights.json");
+    QVERIFY(writeFileAtomically(file,
+                                R"({"format": "lightsketch-lights", "formatVersion": 1, "lights": [
+        {"direction": [-0.9, 0, 0.44]},
+        {"direction": [0.9, 0, 0.44]}]})")
+                .has_value());
+    page.setLight(RelightPage::Light::kPath);
+    page.path().open(file);
+    QCOMPARE(page.path().path().points().size(), 2u);
+    page.findExposure();
+    const double atBegin = level(page, 0.3, 0.45) - level(page, 0.55, 0.7);
+    auto* time = page.path().findChild<QSlider*>("pathTime");
+    time->setValue(time->maximum());
+    const double atEnd = level(page, 0.3, 0.45) - level(page, 0.55, 0.7);
+    QVERIFY2(atBegin > 20 && atEnd < -20, qPrintable(QString("%1 %2").arg(atBegin).arg(atEnd)));
+  }
+
+  void theRoomBeforeTheSourceCameraLightsThePicture() {
+    AppTest& app = *app_;
+    RelightPage& page = opened(app);
+    idle(app);
+    page.setLight(RelightPage::Light::kRoom);
+    auto* state = app.find<QLabel>("roomState");
+    QTRY_VERIFY2_WITH_TIMEOUT(state->text().contains("of the half sphere in sight"),
+                              qPrintable(state->text()), patience(60'000));
+    // The simulated rig's lamp goes round: every frame of the camera is another light.
+    QSignalSpy shown(&page.view(), &RelightView::shown);
+    QTRY_VERIFY_WITH_TIMEOUT(shown.count() > 10, patience(20'000));
+    QVERIFY(level(page, 0.3, 0.7) > 20);
+    app.screenshot("relight-room");
+    page.setLight(RelightPage::Light::kLamps);
+  }
+
   void aPhotographStandsBesideThePictureOfItsLamp() {
     AppTest& app = *app_;
     RelightPage& page = opened(app);
@@ -268,6 +312,19 @@ class RelightPageTest : public QObject {
     const QImage picture = view->grab().toImage();
     QVERIFY(qGray(picture.pixel(picture.rect().center())) > 30);
     QTest::keyClick(view, Qt::Key_Escape);
+    QTRY_VERIFY(!page.fullScreenView());
+
+    // On a display chosen from the menu.
+    QMenu* displays = app.find<QToolButton>("fullScreen")->menu();
+    Q_EMIT displays->aboutToShow();
+    QCOMPARE(displays->actions().size(), QGuiApplication::screens().size());
+    displays->actions().back()->trigger();
+    view = page.fullScreenView();
+    QVERIFY(QTest::qWaitForWindowExposed(view));
+    QTRY_COMPARE(view->screen(), QGuiApplication::screens().back());
+    QVERIFY2(view->isWindow() && view->isFullScreen() && view->findChildren<QPushButton*>().empty(),
+             "the picture and nothing around it");
+    QTest::keyClick(view, Qt::Key_F11);
     QTRY_VERIFY(!page.fullScreenView());
   }
 

@@ -13,8 +13,8 @@
 namespace lightsketch {
 namespace {
 
-constexpr int kStart = 30'000;  // the rig builds its still life first
-constexpr int kAnswer = 10'000;
+constexpr int kStart = patience(30'000);  // the rig builds its still life first
+constexpr int kAnswer = patience(10'000);
 
 constexpr double kRate = 8;
 
@@ -229,7 +229,8 @@ class RigPageTest : public QObject {
       setup.source.format = PixelFormat::kMono12;
       setup.source.gainDb = 3.5;
       workspace.rig().setSetup(setup);
-      workspace.rig().setCalibration("/calibration/source.json", "/calibration/rig.json", {});
+      workspace.rig().setCalibration(
+          {"/calibration/source.json", "/calibration/rig.json", {}, "/calibration/scene.json"});
     }
     Workspace workspace(file);
     const RigSetup& setup = workspace.rig().setup();
@@ -239,6 +240,7 @@ class RigPageTest : public QObject {
     QCOMPARE(setup.sourceModel.string(), "/calibration/source.json");
     QCOMPARE(setup.rigGeometry.string(), "/calibration/rig.json");
     QVERIFY(setup.sceneResponse.empty());
+    QCOMPARE(setup.sceneModel.string(), "/calibration/scene.json");
     QCOMPARE(*setup.scene.exposureSeconds, 0.0123);
     QVERIFY(setup.scene.region == (Region{8, 16, 320, 200}));
     QVERIFY(setup.source.format == PixelFormat::kMono12);

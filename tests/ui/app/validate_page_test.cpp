@@ -15,7 +15,7 @@
 
 namespace lightsketch {
 
-constexpr int kLong = 60000;  // for what takes a second on an idle machine
+constexpr int kLong = patience(60000);  // for what takes a second on an idle machine
 
 class ValidatePageTest : public QObject {
   Q_OBJECT
