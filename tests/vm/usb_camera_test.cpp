@@ -68,6 +68,15 @@ class UsbCameras : public ::testing::Test {
   bool fullRange_ = false;  // of luma, as JPEG has it
 };
 
+class UsbCameraFault : public UsbCameras {
+ protected:
+  // Its row in the fault matrix.
+  static void say(const std::string& injected, const std::string& outcome) {
+    RecordProperty("injected", injected);
+    RecordProperty("outcome", outcome);
+  }
+};
+
 double secondsOf(const std::function<void()>& call) {
   const TimePoint start = Clock::now();
   call();
@@ -164,7 +173,8 @@ TEST_F(UsbCameras, FramesCarryTheExposureThatTheyWereTakenWith) {
 
 // By default the driver withholds broken frames, which leaves a gap in its numbers; with "nodrop"
 // it hands them on and says so.
-TEST_F(UsbCameras, ABrokenFrameIsCountedAndNotHandedOn) {
+TEST_F(UsbCameraFault, ABrokenFrameIsCountedAndNotHandedOn) {
+  say("USB camera: broken frame, cut frame", "counted, not handed on; stamps agree");
   for (const bool driverDrops : {true, false}) {
     std::ofstream("/sys/module/uvcvideo/parameters/nodrop")
         << (driverDrops ? "0" : "1") << std::flush;
@@ -198,7 +208,8 @@ TEST_F(UsbCameras, ABrokenFrameIsCountedAndNotHandedOn) {
   std::ofstream("/sys/module/uvcvideo/parameters/nodrop") << "0" << std::flush;
 }
 
-TEST_F(UsbCameras, UnpluggedEndsTheStreamAndComesBack) {
+TEST_F(UsbCameraFault, UnpluggedEndsTheStreamAndComesBack) {
+  say("USB camera unplugged and plugged in again", "stream ends once; opens again by its name");
   auto camera = streaming();
   ASSERT_TRUE(camera);
   device_.unplug();
@@ -220,7 +231,8 @@ TEST_F(UsbCameras, UnpluggedEndsTheStreamAndComesBack) {
 }
 
 // Still there and silent: nothing but time tells.
-TEST_F(UsbCameras, SilenceEndsTheStreamAndItStartsAgain) {
+TEST_F(UsbCameraFault, SilenceEndsTheStreamAndItStartsAgain) {
+  say("USB camera sends nothing any more", "stream ends after 3 s of silence; opens again");
   auto camera = streaming();
   ASSERT_TRUE(camera);
   device_.sendFrames(false);
@@ -233,7 +245,8 @@ TEST_F(UsbCameras, SilenceEndsTheStreamAndItStartsAgain) {
 }
 
 // It answers nothing at all: every call of the kernel's to it waits for five seconds.
-TEST_F(UsbCameras, AFrozenCameraBlocksNobody) {
+TEST_F(UsbCameraFault, AFrozenCameraBlocksNobody) {
+  say("USB camera frozen: answers nothing", "stop and close return; opens again once it is back");
   auto camera = streaming();
   ASSERT_TRUE(camera);
   device_.answer(false);

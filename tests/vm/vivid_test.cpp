@@ -64,6 +64,15 @@ class Vivid : public ::testing::Test {
   TakenFrames taken_;
 };
 
+class VividFault : public Vivid {
+ protected:
+  // Its row in the fault matrix.
+  static void say(const std::string& injected, const std::string& outcome) {
+    RecordProperty("injected", injected);
+    RecordProperty("outcome", outcome);
+  }
+};
+
 // Of full scale, in a bar of the pattern.
 double barValue(int bar, int channel) {
   const int colours[] = {0b111, 0b110, 0b011, 0b010, 0b101, 0b100, 0b001, 0b000};
@@ -272,7 +281,8 @@ TEST_F(Vivid, TwoCamerasStreamAtOnce) {
   EXPECT_EQ(other.frames().front().format, PixelFormat::kMono12);
 }
 
-TEST_F(Vivid, RefusesASecondOpenerInOneLine) {
+TEST_F(VividFault, RefusesASecondOpenerInOneLine) {
+  say("V4L2: a second program opens the camera", "refused in one line; the first does not notice");
   const auto camera = streaming();
   ASSERT_TRUE(camera);
   const auto second = openV4l2Camera(kNode);
@@ -283,7 +293,8 @@ TEST_F(Vivid, RefusesASecondOpenerInOneLine) {
   EXPECT_TRUE(taken_.waitForMore(2));  // the first does not notice
 }
 
-TEST_F(Vivid, CountsGapsOfTheSequenceAsLost) {
+TEST_F(VividFault, CountsGapsOfTheSequenceAsLost) {
+  say("V4L2: half of the buffers dropped", "gaps counted as lost, frames in order");
   const auto camera = streaming();
   ASSERT_TRUE(camera);
   ASSERT_TRUE(camera->setFeature("percentage_of_dropped_buffers", 50));
@@ -302,7 +313,8 @@ TEST_F(Vivid, CountsGapsOfTheSequenceAsLost) {
   EXPECT_EQ(taken_.ends(), 0);
 }
 
-TEST_F(Vivid, CountsABufferWithTheErrorFlagAsIncomplete) {
+TEST_F(VividFault, CountsABufferWithTheErrorFlagAsIncomplete) {
+  say("V4L2: buffer with the error flag", "counted as incomplete, not handed on");
   const auto camera = streaming();
   ASSERT_TRUE(camera);
   ASSERT_TRUE(camera->setFeature("inject_v4l2_buf_flag_error", 1));
@@ -312,7 +324,8 @@ TEST_F(Vivid, CountsABufferWithTheErrorFlagAsIncomplete) {
   EXPECT_EQ(taken_.ends(), 0);
 }
 
-TEST_F(Vivid, GoesOnAfterARefusedBuffer) {
+TEST_F(VividFault, GoesOnAfterARefusedBuffer) {
+  say("V4L2: the driver refuses a buffer, 12 times", "offered again; the stream goes on");
   const auto camera = streaming();
   ASSERT_TRUE(camera);
   for (int i = 0; i < 12; ++i) {  // more than there are buffers: none may get lost
@@ -322,7 +335,8 @@ TEST_F(Vivid, GoesOnAfterARefusedBuffer) {
   EXPECT_EQ(taken_.ends(), 0);
 }
 
-TEST_F(Vivid, FailsToStartInOneLineAndStartsTheNextTime) {
+TEST_F(VividFault, FailsToStartInOneLineAndStartsTheNextTime) {
+  say("V4L2: REQBUFS, QBUF, STREAMON fail at the start", "one line; the next start works");
   const auto camera = open();
   ASSERT_TRUE(camera);
   configure(*camera, PixelFormat::kMono8);
@@ -338,7 +352,8 @@ TEST_F(Vivid, FailsToStartInOneLineAndStartsTheNextTime) {
   }
 }
 
-TEST_F(Vivid, AFatalErrorEndsTheStreamOnceAndTheCameraOpensAgain) {
+TEST_F(VividFault, AFatalErrorEndsTheStreamOnceAndTheCameraOpensAgain) {
+  say("V4L2: fatal streaming error (POLLERR, EIO)", "stream ends once; opens again");
   auto camera = streaming();
   ASSERT_TRUE(camera);
   ASSERT_TRUE(camera->setFeature("inject_fatal_streaming_error", 1));
@@ -356,7 +371,8 @@ TEST_F(Vivid, AFatalErrorEndsTheStreamOnceAndTheCameraOpensAgain) {
   camera = streaming();
 }
 
-TEST_F(Vivid, ADisconnectedCameraEndsTheStreamOnceAndComesBack) {
+TEST_F(VividFault, ADisconnectedCameraEndsTheStreamOnceAndComesBack) {
+  say("V4L2: camera disconnected (ENODEV)", "stream ends once; opens again");
   auto camera = streaming();
   ASSERT_TRUE(camera);
   ASSERT_TRUE(camera->setFeature("disconnect", 1));
@@ -370,7 +386,8 @@ TEST_F(Vivid, ADisconnectedCameraEndsTheStreamOnceAndComesBack) {
   camera = streaming();
 }
 
-TEST_F(Vivid, NumbersGoOnWhereTheDriversWrap) {
+TEST_F(VividFault, NumbersGoOnWhereTheDriversWrap) {
+  say("V4L2: sequence wraps at 2^32", "ids go on");
   const auto camera = open();
   ASSERT_TRUE(camera);
   configure(*camera, PixelFormat::kMono8);
@@ -385,7 +402,8 @@ TEST_F(Vivid, NumbersGoOnWhereTheDriversWrap) {
   ASSERT_TRUE(camera->setFeature("wrap_sequence_number", 0));
 }
 
-TEST_F(Vivid, StampsOfAnotherEpochAreNotBelieved) {
+TEST_F(VividFault, StampsOfAnotherEpochAreNotBelieved) {
+  say("V4L2: stamps of another epoch", "time by arrival, with its sigma");
   const auto camera = open();
   ASSERT_TRUE(camera);
   configure(*camera, PixelFormat::kMono8);

@@ -88,6 +88,10 @@ timeout 280 qemu-system-x86_64 -machine q35,usb=off -accel tcg,thread=multi -cpu
   -nodefaults -display none -serial stdio -no-reboot -kernel "$folder/image/vmlinux" \
   -initrd "$own/initrd" ${QEMU_ARGUMENTS:-} \
   -append "console=ttyS0 quiet mitigations=off nokaslr tsc=reliable panic=-1 scenario=$scenario" |
-  tee "$own/log"
+  tee "$own/log" | grep --line-buffered -v '^RESULT ' || true
 rm -f "$own/initrd"
+# Where a test program would have left its results, for the fault matrix.
+case ${GTEST_OUTPUT:-}$(grep -m1 -o "^RESULT" "$own/log" || true) in
+  json:*RESULT) sed -n 's/\r$//; s/^RESULT //p' "$own/log" >"${GTEST_OUTPUT#json:}vm_$scenario.json" ;;
+esac
 grep -q "scenario $scenario ended with 0" "$own/log"
