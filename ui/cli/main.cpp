@@ -258,7 +258,8 @@ struct Commands {
             "named, the simulated rig is recorded. An existing sketch is gone on with.",
             "lightsketch record --scene aravis:192.168.1.20 --source aravis:192.168.1.21 "
             "--camera-model source.json --directions 300 --out vase");
-    command->add_option("--scene", record_.sceneCamera, "scene camera, e.g. aravis:192.168.1.20");
+    command->add_option("--scene", record_.sceneCamera,
+                        "scene camera, e.g. aravis:192.168.1.20 or v4l2:/dev/video0");
     command
         ->add_option("--source", record_.sourceCameras,
                      "fisheye source camera; may be repeated: two that see the lamp tell its "
