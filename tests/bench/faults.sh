@@ -8,7 +8,7 @@ build=${LIGHTSKETCH_BUILD:-$root/build/release}
 work=$(mktemp -d "${TMPDIR:-/tmp}/lightsketch-faults.XXXXXX")
 trap 'rm -rf "$work"' EXIT
 # Cameras do not wait: one test after the other.
-GTEST_OUTPUT="json:$work/" ctest --test-dir "$build" -R 'Fault|^vm\.' >"$work/log" 2>&1 || true
+GTEST_OUTPUT="json:$work/" ctest --test-dir "$build" -V -R 'Fault|^vm\.' >"$work/log" 2>&1 || true
 shopt -s nullglob
 results=("$work"/*.json)
 [ ${#results[@]} -gt 0 ] || { tail -n 5 "$work/log" >&2; echo "faults: no test ran; ./run build" >&2; exit 1; }
@@ -26,7 +26,7 @@ in_machines=0
 [ ${#machines[@]} -eq 0 ] ||
   in_machines=$(jq -r '.testsuites[] | select(.name | test("Fault")) | .testsuite[].name' "${machines[@]}" | wc -l)
 missing=$((listed - (ran - in_machines + ${#machines[@]})))
-grep -h '^SKIPPED' "$work/log" | sort -u || true
+grep -o 'SKIPPED: .*' "$work/log" | sort -u || true
 printf '\n%d rows, %d failed' "$ran" "$failed"
 [ "$missing" = 0 ] && echo || echo "; $missing did not finish"
 [ "$failed" = 0 ] && [ "$missing" = 0 ]
