@@ -3,6 +3,7 @@
 #include <QApplication>
 #include <QPalette>
 #include <QStyleFactory>
+#include <QWidget>
 
 namespace lightsketch {
 
@@ -37,6 +38,13 @@ void applyTheme(const QString& name) {
     palette.setColor(QPalette::Disabled, role, grey(120, 150));
   }
   QApplication::setPalette(palette);
+  // Style sheets keep the colours that palette(...) had when they were set.
+  for (QWidget* widget : QApplication::allWidgets()) {
+    const QString sheet = widget->styleSheet();
+    if (sheet.isEmpty()) continue;
+    widget->setStyleSheet({});
+    widget->setStyleSheet(sheet);
+  }
 }
 
 }  // namespace lightsketch
