@@ -331,8 +331,8 @@ void patch(std::string& file, std::string_view name, std::string_view type, std:
 }
 
 std::string exrFile(Choices& choices) {
-  const int width = 1 + choices.pick(11, {0, 1, 63, 200}) % 256;
-  const int height = 1 + choices.pick(6, {0, 1, 40, 100}) % 128;
+  const int width = 1 + choices.pick(11, {0, 1, 39, 63}) % 256;
+  const int height = 1 + choices.pick(6, {0, 1, 32, 40}) % 128;
   const int x0 = choices.pick(0, {-5, 7, 1 << 20, -(1 << 20)});
   const int y0 = choices.pick(0, {-5, 7, 1 << 20, -(1 << 20)});
   const Imath::Box2i window({x0, y0}, {x0 + width - 1, y0 + height - 1});
@@ -348,7 +348,7 @@ std::string exrFile(Choices& choices) {
   const bool tiled = choices.hostile();
   if (tiled) {
     header.setTileDescription(Imf::TileDescription(
-        1 + choices.byte() % 40u, 1 + choices.byte() % 40u,
+        8 + choices.byte() % 40u, 8 + choices.byte() % 40u,
         choices.oneOf({Imf::ONE_LEVEL, Imf::MIPMAP_LEVELS, Imf::RIPMAP_LEVELS})));
   }
   const std::vector<std::string> names =
