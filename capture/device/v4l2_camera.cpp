@@ -20,6 +20,7 @@
 #include <limits>
 #include <mutex>
 #include <optional>
+#include <set>
 #include <thread>
 #include <utility>
 
@@ -432,6 +433,7 @@ class V4l2Camera final : public Camera {
 
   std::vector<std::pair<int, int>> sizes(std::uint32_t fourcc) const;
   double fastest(std::uint32_t fourcc, int width, int height) const;
+  bool canSend(std::uint32_t fourcc, int width, int height) const;
   Result<void> setFormat(const V4l2Conversion& conversion, int width, int height);
   Result<void> choose(PixelFormat format, const std::optional<Region>& region);
   void setFrameRate();
@@ -484,6 +486,18 @@ double V4l2Camera::fastest(std::uint32_t fourcc, int width, int height) const {
     if (!discrete) break;
   }
   return rate > 0 ? rate : std::numeric_limits<double>::infinity();
+}
+
+bool V4l2Camera::canSend(std::uint32_t fourcc, int width, int height) const {
+  v4l2_format format{};
+  format.type = V4L2_BUF_TYPE_VIDEO_CAPTURE;
+  format.fmt.pix.width = static_cast<std::uint32_t>(width);
+  format.fmt.pix.height = static_cast<std::uint32_t>(height);
+  format.fmt.pix.pixelformat = fourcc;
+  format.fmt.pix.field = V4L2_FIELD_NONE;
+  return request(fd(), VIDIOC_TRY_FMT, &format) == 0 && format.fmt.pix.pixelformat == fourcc &&
+         format.fmt.pix.width == static_cast<std::uint32_t>(width) &&
+         format.fmt.pix.height == static_cast<std::uint32_t>(height);
 }
 
 Result<void> V4l2Camera::setFormat(const V4l2Conversion& conversion, int width, int height) {
@@ -564,42 +578,41 @@ Result<void> V4l2Camera::choose(PixelFormat format, const std::optional<Region>&
                    "{}: has picture sizes, but no regions; x and y must be 0", info_.address);
   }
 
-  Result<void> done;
-  std::optional<std::pair<V4l2Conversion, std::pair<int, int>>> best;
+  // The largest, which only differs where the whole sensor is asked for; of these the first that is
+  // fast enough, or else the fastest.
+  const V4l2Conversion* best = nullptr;
+  std::pair<int, int> bestSize;
   double bestRate = 0;
+  std::set<std::pair<int, int>> allSizes;
   for (const V4l2Conversion& candidate : candidates) {
     const auto offered = sizes(candidate.fourcc);
+    allSizes.insert(offered.begin(), offered.end());
     std::pair<int, int> size(static_cast<int>(format_.width), static_cast<int>(format_.height));
-    if (region) {
-      size = *region != Region{} || offered.empty() ? std::pair(region->width, region->height)
-                                                    : offered.back();
-    }
-    // A slower format that is better is better only while it is fast enough.
+    if (region == Region{} && !offered.empty()) size = offered.back();
+    if (region && region != Region{}) size = {region->width, region->height};
+    if (!canSend(candidate.fourcc, size.first, size.second)) continue;
     const double rate =
         std::min(fastest(candidate.fourcc, size.first, size.second), wantedRate_.value_or(1e-9));
-    if (rate > bestRate * 1.01) {
-      best = std::pair(candidate, size);
+    const int more = size.first * size.second - bestSize.first * bestSize.second;
+    if (best == nullptr || more > 0 || (more == 0 && rate > bestRate * 1.01)) {
+      best = &candidate;
+      bestSize = size;
       bestRate = rate;
     }
   }
-  const v4l2_pix_format before = format_;
-  const V4l2Conversion conversionBefore = conversion_;
-  const auto [width, height] = best->second;
-  RETURN_IF_ERROR(setFormat(best->first, width, height));
+  if (best == nullptr) {
+    std::string offered;
+    for (const auto& [width, height] : allSizes) {
+      offered += fmt::format("{}{}x{}", offered.empty() ? "" : ", ", width, height);
+    }
+    return failure(ErrorCode::kInvalidArgument, "{}: cannot send {}x{} pixels as {}; it offers {}",
+                   info_.address, region ? region->width : static_cast<int>(format_.width),
+                   region ? region->height : static_cast<int>(format_.height),
+                   pixelFormatInfo(format).name, offered);
+  }
+  RETURN_IF_ERROR(setFormat(*best, bestSize.first, bestSize.second));
   refusedFormat_.clear();
-  if (static_cast<int>(format_.width) == width && static_cast<int>(format_.height) == height) {
-    return {};
-  }
-  std::string offered;
-  for (const auto& [w, h] : sizes(best->first.fourcc)) {
-    offered += fmt::format("{}{}x{}", offered.empty() ? "" : ", ", w, h);
-  }
-  const Error refusal{ErrorCode::kInvalidArgument,
-                      fmt::format("{}: cannot send {}x{} pixels in {}; it offers {}", info_.address,
-                                  width, height, fourccName(best->first.fourcc), offered)};
-  RETURN_IF_ERROR(
-      setFormat(conversionBefore, static_cast<int>(before.width), static_cast<int>(before.height)));
-  return tl::unexpected(refusal);
+  return {};
 }
 
 // What the driver makes of the wish is read back: it takes the nearest it can.

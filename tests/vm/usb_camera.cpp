@@ -32,7 +32,8 @@ constexpr unsigned kCameraUnit = 1, kProcessingUnit = 2;
 constexpr std::uint32_t kPayload = 16384;
 constexpr std::uint8_t kEndOfFrame = 2, kError = 0x40, kEndOfHeader = 0x80;
 
-constexpr std::array<std::array<int, 2>, 2> kSizes{{{320, 240}, {640, 480}}};
+constexpr std::array<std::array<int, 2>, 3> kSizes{{{320, 240}, {640, 480}, {800, 600}}};
+constexpr std::uint8_t kMjpgSizes = 3, kYuyvSizes = 2;                       // of these
 constexpr std::array<std::uint32_t, 3> kIntervals{333333, 666666, 2000000};  // 100 ns
 
 constexpr auto kPatience = std::chrono::seconds(20);
@@ -82,9 +83,9 @@ Bytes stringDescriptor(unsigned i) {
   return out;
 }
 
-Bytes frameDescriptors(std::uint8_t subtype) {
+Bytes frameDescriptors(std::uint8_t subtype, std::size_t sizes) {
   Bytes out;
-  for (std::size_t i = 0; i < kSizes.size(); ++i) {
+  for (std::size_t i = 0; i < sizes; ++i) {
     const auto [width, height] = kSizes[i];
     Bytes frame{0, 0x24, subtype, static_cast<std::uint8_t>(i + 1), 0};
     append16(frame, static_cast<unsigned>(width));
@@ -115,11 +116,11 @@ Bytes configurationDescriptor() {
   append(control, {1, 1});
   append(control, units);
 
-  Bytes formats{11, 0x24, 6, 1, kSizes.size(), 0, 1, 0, 0, 0, 0};  // MJPG
-  append(formats, frameDescriptors(7));
-  append(formats, {27, 0x24, 4,    2, kSizes.size(), 'Y',  'U',  'Y', '2', 0, 0, 0x10, 0, 0x80,
-                   0,  0,    0xAA, 0, 0x38,          0x9B, 0x71, 16,  1,   0, 0, 0,    0});
-  append(formats, frameDescriptors(5));
+  Bytes formats{11, 0x24, 6, 1, kMjpgSizes, 0, 1, 0, 0, 0, 0};  // MJPG
+  append(formats, frameDescriptors(7, kMjpgSizes));
+  append(formats, {27, 0x24, 4,    2, kYuyvSizes, 'Y',  'U',  'Y', '2', 0, 0, 0x10, 0, 0x80,
+                   0,  0,    0xAA, 0, 0x38,       0x9B, 0x71, 16,  1,   0, 0, 0,    0});
+  append(formats, frameDescriptors(5, kYuyvSizes));
   Bytes streaming{15, 0x24, 1, 2};
   append16(streaming, static_cast<unsigned>(15 + formats.size()));
   append(streaming, {0x81, 0, 3, 0, 0, 0, 1, 0, 0});
@@ -336,7 +337,7 @@ std::optional<Bytes> UsbCamera::streamingReply(std::uint8_t request, unsigned se
   if (request == kSetCur) {
     if (data.size() < 8) return std::nullopt;
     format_ = std::clamp<std::uint8_t>(data[2], 1, 2);
-    size_ = std::clamp<std::uint8_t>(data[3], 1, kSizes.size());
+    size_ = std::clamp<std::uint8_t>(data[3], 1, format_ == 1 ? kMjpgSizes : kYuyvSizes);
     const std::uint32_t asked = static_cast<std::uint32_t>(data[4] | data[5] << 8 | data[6] << 16) |
                                 static_cast<std::uint32_t>(data[7]) << 24;
     interval_ = *std::ranges::min_element(kIntervals, {}, [asked](std::uint32_t interval) {

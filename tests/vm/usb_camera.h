@@ -19,8 +19,9 @@
 
 namespace lightsketch {
 
-// MJPG and YUYV of 320 x 240 and 640 x 480 at 30, 15 or 5 frames/s; exposure, gain and white
-// balance, each with an automatic that is on at first and overrules the control.
+// MJPG and YUYV of 320 x 240 and 640 x 480, MJPG alone also of 800 x 600, at 30, 15 or 5 frames/s;
+// exposure, gain and white balance, each with an automatic that is on at first and overrules the
+// control.
 class UsbCamera {
  public:
   // What a frame shows: its number, and the exposure and gain that it was made with.

@@ -127,6 +127,27 @@ TEST_F(UsbCameras, ChoosesYuyvAndSaysWhatIsLostByIt) {
   EXPECT_NE(camera->notes()[0].find("RGB8 from YUYV: 8 bits made for the eye"), std::string::npos);
 }
 
+// As webcams have it: large pictures only in MJPG.
+TEST_F(UsbCameras, TakesTheFormatThatHasTheSize) {
+  const auto camera = open();
+  ASSERT_TRUE(camera);
+  for (const Region& region : {Region{0, 0, 800, 600}, Region{}}) {
+    CameraSettings settings = wanted();
+    settings.region = Region{0, 0, 320, 240};
+    ASSERT_TRUE(camera->configure(settings));
+    EXPECT_NE(camera->notes().at(0).find("from YUYV"), std::string::npos);
+    settings.region = region;
+    const auto got = camera->configure(settings);
+    ASSERT_TRUE(got) << got.error().message;
+    EXPECT_EQ(got->region, (Region{0, 0, 800, 600}));
+    EXPECT_NE(camera->notes().at(0).find("from MJPG"), std::string::npos);
+  }
+  fullRange_ = true;
+  ASSERT_TRUE(taken_.start(*camera));
+  EXPECT_TRUE(taken_.waitForMore(2));
+  camera->stop();
+}
+
 TEST_F(UsbCameras, SetsExposureGainAndWhiteBalanceWithTheirAutomaticsOff) {
   const auto camera = open();
   ASSERT_TRUE(camera);
