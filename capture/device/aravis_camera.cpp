@@ -30,6 +30,7 @@ constexpr guint kMinBuffers = 8;  // each is copied out and handed back at once
 constexpr guint kMaxBuffers = 32;
 constexpr guint kBufferBytes = 64 << 20;  // together, unless that makes too few
 constexpr int kSocketBufferBytes = 4 << 20;
+constexpr guint kFrameRetentionUs = 400'000;  // a busy computer gets what it asked for again late
 constexpr auto kAnswerTimeout = std::chrono::seconds(1);
 constexpr auto kHeartbeat = std::chrono::seconds(3);  // GigE Vision's default
 constexpr auto kWatchInterval = std::chrono::milliseconds(500);
@@ -40,7 +41,7 @@ constexpr int kComparisons = 4;
 constexpr auto kUnlatchedSigma = std::chrono::milliseconds(2);
 constexpr auto kUnlatchedWindow = std::chrono::seconds(1);
 // Frames without any time of their own: the jitter of their arrival on a busy machine.
-constexpr auto kUnstampedSigma = std::chrono::milliseconds(5);
+constexpr auto kUnstampedSigma = std::chrono::milliseconds(10);
 // From a frame's mapped time to its first packet it takes nearly always the same time. What differs
 // by more than this has a wrong time, or comes from a computer too busy to tell.
 constexpr auto kDelayTolerance = std::chrono::milliseconds(200);
@@ -120,6 +121,11 @@ struct Announced {
   std::size_t block = 0;  // bytes of payload in a packet; 0: no packets
 };
 
+// Of packets, as Aravis counts them.
+struct PacketCounts {
+  std::uint64_t duplicated = 0, requested = 0, resent = 0, damaged = 0;
+};
+
 // What Aravis' threads work on. Shared with them, because a dead camera is closed in the background
 // and may outlive the Camera object.
 struct Link {
@@ -147,17 +153,20 @@ struct Link {
   // The frames that are being received, in their order.
   struct Begun {
     TimePoint firstPacket;
-    std::uint64_t duplicated = 0;  // packets until then, as Aravis counts them
-    std::uint64_t repaired = 0;    // the same of packets sent again, until some frames before
+    std::uint64_t duplicated = 0;  // packets until then
+    PacketCounts before;           // and some frames earlier
   };
   std::deque<Begun> begun;
-  std::deque<std::uint64_t> repairs;  // when each of the latest frames began
+  std::deque<PacketCounts> packetCounts;  // when each of the latest frames began
   TimePoint lastArrival;
   std::optional<Duration> leastDelay;  // unlatched: of this window
   std::int64_t windowBegin = 0;
   std::optional<std::int64_t> lastStamp;
   std::deque<Duration> delays;  // from the mapped end of exposure to the first packet
   std::optional<TimePoint> doubtSince;
+  std::optional<TimePoint> lateSince;  // unlatched
+  TimePoint lastFirstPacket;
+  std::deque<Duration> intervals;      // unlatched and without times: between frames
   std::uint64_t duplicated = 0;        // packets so far, as Aravis counts them
   std::deque<std::uint64_t> repaired;  // the same of packets sent again, after each of some frames
 
@@ -185,13 +194,16 @@ void Link::begin(const Announced& stream, const ExposureSetting& exposure) {
   warmedUp = false;
   lastId = damagedSinceLast = 0;
   begun.clear();
-  repairs.clear();
+  packetCounts.clear();
   lastArrival = Clock::now();
   leastDelay.reset();
   windowBegin = 0;
   lastStamp.reset();
   delays.clear();
   doubtSince.reset();
+  lateSince.reset();
+  lastFirstPacket = {};
+  intervals.clear();
 }
 
 // Unwraps a whole frame's id, counts what is missing before it. False for what has been here
@@ -215,27 +227,31 @@ bool Link::acceptId(std::uint64_t id) {
 std::uint64_t countOf(ArvStream* stream, const char* name) {
   return ARV_IS_GV_STREAM(stream) ? arv_stream_get_info_uint64_by_name(stream, name) : 0;
 }
-std::uint64_t duplicatedPackets(ArvStream* stream) {
-  return countOf(stream, "n_duplicated_packets");
-}
-std::uint64_t repairedPackets(ArvStream* stream) {
-  return countOf(stream, "n_resent_packets") + countOf(stream, "n_missing_packets") +
-         countOf(stream, "n_error_packets");
+PacketCounts countPackets(ArvStream* stream) {
+  return {countOf(stream, "n_duplicated_packets"), countOf(stream, "n_resend_requests"),
+          countOf(stream, "n_resent_packets"),
+          countOf(stream, "n_missing_packets") + countOf(stream, "n_error_packets")};
 }
 
 void Link::beginFrame(ArvStream* stream) {
   const TimePoint now = Clock::now();
   const std::lock_guard lock(mutex);
-  repairs.push_back(repairedPackets(stream));
-  if (repairs.size() > kRepairMemory) repairs.pop_front();
-  begun.push_back({now, duplicatedPackets(stream), repairs.front()});
+  packetCounts.push_back(countPackets(stream));
+  if (packetCounts.size() > kRepairMemory) packetCounts.pop_front();
+  begun.push_back({now, packetCounts.back().duplicated, packetCounts.front()});
 }
 
 // Of a packet with a wrong place in it Aravis keeps the payload where it was not meant to be: then
 // it takes the right one for a duplicate, and misses another, maybe of a frame before. Either alone
-// is harmless.
+// is harmless, and so is a duplicate that was asked for: an answer that came too late.
 bool packetsInDoubt(ArvStream* stream, const Link::Begun& begun) {
-  return duplicatedPackets(stream) != begun.duplicated && repairedPackets(stream) != begun.repaired;
+  const PacketCounts now = countPackets(stream);
+  const PacketCounts& before = begun.before;
+  if (now.duplicated == begun.duplicated) return false;
+  if (now.damaged != before.damaged) return true;
+  const std::uint64_t answers = now.resent - before.resent;
+  return answers > 0 &&
+         answers + now.duplicated - before.duplicated > now.requested - before.requested;
 }
 
 // The clock was latched: it showed `deviceTimeNs` at `host`. Caller holds the mutex.
@@ -247,28 +263,50 @@ void Link::compared(std::int64_t deviceTimeNs, TimePoint host, Duration sigma) {
   clock.add(deviceTimeNs, host, sigma);
 }
 
+Duration medianOf(const std::deque<Duration>& values) {
+  std::vector<Duration> sorted(values.begin(), values.end());
+  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
+  std::nth_element(sorted.begin(), middle, sorted.end());
+  return *middle;
+}
+
 // The lower envelope of arrival over the device's time: the frame with the least delay in each
 // window says when its exposure began, give or take the camera's overhead. Caller holds the mutex.
 std::optional<ClockMapping::Mapped> Link::mapByArrival(std::int64_t deviceTimeNs,
                                                        TimePoint firstPacket,
                                                        double exposureSeconds) {
   const TimePoint start = firstPacket - fromSeconds(exposureSeconds);
-  if (lastStamp == deviceTimeNs) return ClockMapping::Mapped{start, kUnstampedSigma};
+  const Duration interval = firstPacket - std::exchange(lastFirstPacket, firstPacket);
+  if (lastStamp == deviceTimeNs) {
+    // No time of its own: only as long as frames come as regularly as they were taken.
+    intervals.push_back(interval);
+    if (intervals.size() > kDelays) intervals.pop_front();
+    const Duration usual = medianOf(intervals);
+    if (intervals.size() < kDelays || std::chrono::abs(interval - usual) > usual / 4) return {};
+    return ClockMapping::Mapped{start, kUnstampedSigma};
+  }
   const auto expected = clock.map(deviceTimeNs);
-  const bool set = expected && std::chrono::abs(start - expected->host) > kDelayTolerance;
-  if (set) {
+  // Nothing arrives before its time: what the mapping was made from was late, or the clock was set.
+  bool anew = expected && start + 2 * kUnlatchedSigma < expected->host;
+  if (expected && start > expected->host + kDelayTolerance) {  // late, or the clock was set
+    if (!lateSince) lateSince = firstPacket;
+    if (firstPacket - *lateSince < kClockDoubt) return {};
+    anew = true;
+  }
+  lateSince.reset();
+  if (anew) {
     clock = {};
     leastDelay.reset();
   }
   const Duration delay = start.time_since_epoch() - Duration(deviceTimeNs);
-  const bool first = !expected || set;
+  const bool first = !expected || anew;
   leastDelay = std::min(leastDelay.value_or(delay), delay);
   if (first || Duration(deviceTimeNs - windowBegin) > kUnlatchedWindow) {
     clock.add(deviceTimeNs, TimePoint(*leastDelay + Duration(deviceTimeNs)), kUnlatchedSigma);
     leastDelay.reset();
     windowBegin = deviceTimeNs;
   }
-  return set ? std::nullopt : clock.map(deviceTimeNs);
+  return clock.map(deviceTimeNs);
 }
 
 // When its exposure began; nothing where that cannot be right. Caller holds the mutex.
@@ -279,9 +317,7 @@ std::optional<ClockMapping::Mapped> Link::mapTime(std::int64_t deviceTimeNs, Tim
   if (latched) {
     mapped = clock.map(deviceTimeNs);
     const Duration delay = firstPacket - mapped->host - exposure;
-    std::vector<Duration> sorted(delays.begin(), delays.end());
-    std::sort(sorted.begin(), sorted.end());
-    const Duration usual = sorted.empty() ? delay : sorted[sorted.size() / 2];
+    const Duration usual = delays.empty() ? delay : medianOf(delays);
     const bool early = arrival < mapped->host + exposure - 5 * mapped->sigma - kUnlatchedSigma;
     const bool late = arrival - mapped->host - exposure > kClockDoubt;
     if (early || late || std::chrono::abs(delay - usual) > kDelayTolerance) {
@@ -361,7 +397,7 @@ std::optional<ToldExposure> readChunks(ArvChunkParser* parser, ArvBuffer* buffer
 // Caller holds the mutex.
 std::optional<Frame> Link::makeFrame(ArvStream* stream, ArvChunkParser* parser, ArvBuffer* buffer,
                                      TimePoint arrival) {
-  Begun frameBegun{arrival};
+  Begun frameBegun{arrival, 0, {}};
   if (!begun.empty()) {
     frameBegun = begun.front();
     begun.pop_front();
@@ -956,7 +992,8 @@ Result<void> AravisCamera::start(FrameCallback onFrame, EndCallback onEnd) {
   context->stream = running.stream.get();
   if (gige) {
     g_object_set(running.stream.get(), "socket-buffer", ARV_GV_STREAM_SOCKET_BUFFER_FIXED,
-                 "socket-buffer-size", kSocketBufferBytes, nullptr);
+                 "socket-buffer-size", kSocketBufferBytes, "frame-retention", kFrameRetentionUs,
+                 nullptr);
   }
   const guint payload = arv_camera_get_payload(camera_.get(), error.out());
   if (error) return failed("read the size of a frame", error);
@@ -1114,12 +1151,17 @@ Result<Ref<ArvCamera>> connect(const std::string& target) {
 Result<std::unique_ptr<Camera>> openAravisCamera(const std::string& address) {
   prepareAravis();
   ASSIGN_OR_RETURN(Ref<ArvCamera> camera, connect(address));
-  if (arv_camera_is_gv_device(camera.get()) &&
-      !arv_gv_device_is_controller(ARV_GV_DEVICE(arv_camera_get_device(camera.get())))) {
-    return failure(ErrorCode::kDevice,
-                   "aravis:{}: another program controls this camera; close that, or wait 3 s if it "
-                   "crashed",
-                   address);
+  if (arv_camera_is_gv_device(camera.get())) {
+    // A program that crashed holds it until the heartbeat is over.
+    auto* const device = ARV_GV_DEVICE(arv_camera_get_device(camera.get()));
+    const TimePoint end = Clock::now() + kHeartbeat + std::chrono::seconds(1);
+    while (!arv_gv_device_is_controller(device) && !arv_gv_device_take_control(device, nullptr)) {
+      if (Clock::now() > end) {
+        return failure(ErrorCode::kDevice,
+                       "aravis:{}: another program controls this camera; close that", address);
+      }
+      std::this_thread::sleep_for(kWatchInterval / 2);
+    }
   }
   CameraInfo info{"aravis:" + address, orEmpty(arv_camera_get_vendor_name(camera.get(), nullptr)),
                   orEmpty(arv_camera_get_model_name(camera.get(), nullptr)),
