@@ -635,10 +635,11 @@ SketchPrompt::Content SketchPage::idlePrompt() const {
     content.mood = SketchPrompt::Mood::kTrouble;
   } else {
     content.word = tr("Ready");
-    content.detail = plan_.exists
-                         ? tr("Space goes on with this sketch.")
-                         : tr("Take the lamp, step beside the camera, and press Space. The first "
-                              "two seconds are for the room's own light: lamp off.");
+    content.detail =
+        plan_.exists
+            ? tr("Space goes on with this sketch.")
+            : tr("Take the lamp, stand beside the camera, press Space. Lamp off for the first two "
+                 "seconds.");
   }
   return content;
 }
