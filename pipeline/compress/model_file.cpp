@@ -844,6 +844,12 @@ Result<void> readFactors(Reader& reader, const Head& head, std::array<FactorValu
   ASSIGN_OR_RETURN(const auto stepV, reader.scales("V_scale"));
   if (stepE.size() != rows || stepU.size() != q || stepV.size() != q)
     return failure(ErrorCode::kCorrupt, "{}: its parts do not fit together", where);
+  // Times what 16 bits and a DCT make of it a float must still hold it.
+  for (const std::span<const float> steps :
+       {std::span(stepE), std::span<const float>(stepU), std::span(stepV)}) {
+    if (std::any_of(steps.begin(), steps.end(), [](float s) { return std::abs(s) > 1e30f; }))
+      return failure(ErrorCode::kCorrupt, "{}: its scales are beyond all pictures", where);
+  }
   Unpacker unpacker(model, model.lightCount());
   const auto to = [&](auto line) {
     return [&unpacker, line](std::size_t k, const std::byte* lower, const std::byte* upper) {

@@ -13,6 +13,7 @@
 #include <cstdarg>
 #include <cstdio>
 #include <cstdlib>
+#include <ctime>
 
 namespace {
 
@@ -21,6 +22,7 @@ std::atomic<int> calls = 0;
 int faultyCall = 0;
 int action = FAULT_KILL;
 std::atomic<int> delay = 0;
+std::atomic<int> clockOffset = 0;
 char countFile[4096];
 
 [[noreturn]] void die() {
@@ -103,9 +105,18 @@ void faultArm(int call, int what) {
 void faultDisarm() {
   armed = false;
   delay = 0;
+  clockOffset = 0;
 }
 int faultCalls() { return calls; }
 void faultDelay(int microseconds) { delay = microseconds; }
+void faultClock(int seconds) { clockOffset = seconds; }
+
+int clock_gettime(clockid_t clock, timespec* time) {
+  static const auto real = next<int (*)(clockid_t, timespec*)>("clock_gettime");
+  const int result = real(clock, time);
+  if (result == 0 && clock == CLOCK_REALTIME) time->tv_sec += clockOffset;
+  return result;
+}
 
 ssize_t write(int fd, const void* bytes, size_t count) {
   static const auto real = next<ssize_t (*)(int, const void*, size_t)>("write");

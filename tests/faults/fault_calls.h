@@ -16,4 +16,6 @@ void faultDisarm();
 int faultCalls();
 // Every write and fsync takes so long from now on: a slow disk.
 void faultDelay(int microseconds);
+// The machine's clock (not the monotonic one) is off by so much from now on.
+void faultClock(int seconds);
 }

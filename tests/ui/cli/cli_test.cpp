@@ -251,6 +251,39 @@ TEST_F(CommandLine, RefusesDamagedSketches) {
   compress("frames.jsonl");
 }
 
+TEST_F(CommandLine, ChecksAndRepairsASketch) {
+  importSet("set", "sketch");
+  ASSERT_EQ(run({"check", path("sketch"), "--quiet"}).exitCode, 0);
+  const fs::path frame = path("sketch") / "frames" / "000010.exr";
+  std::ofstream(frame, std::ios::binary) << "nothing";
+  std::string journal = slurp(path("sketch") / "frames.jsonl");
+  journal[journal.size() / 2] = static_cast<char>(journal[journal.size() / 2] ^ 4);
+  std::ofstream(path("sketch") / "frames.jsonl", std::ios::binary) << journal;
+
+  const auto found = run({"check", path("sketch"), "--quiet", "--json", path("check.json")});
+  EXPECT_EQ(found.exitCode, 1);
+  EXPECT_NE(found.out.find("frames.jsonl: line "), std::string::npos) << found.out;
+  EXPECT_NE(found.out.find("frames/000010.exr"), std::string::npos) << found.out;
+  EXPECT_EQ(std::count(found.error.begin(), found.error.end(), '\n'), 1) << found.error;
+  EXPECT_NE(found.error.find("2 damaged places"), std::string::npos) << found.error;
+  EXPECT_EQ(Json::parse(slurp(path("check.json")))["damaged"], 2);
+
+  const auto repaired = run({"check", path("sketch"), "--repair", "--quiet"});
+  ASSERT_EQ(repaired.exitCode, 0) << repaired.error;
+  EXPECT_EQ(slurp(path("sketch") / "frames.jsonl.damaged"), journal);
+  const auto clean = run({"check", path("sketch"), "--quiet"});
+  EXPECT_EQ(clean.exitCode, 0) << clean.out;
+  EXPECT_NE(clean.out.find("63 whole frames"), std::string::npos) << clean.out;
+
+  ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
+  EXPECT_EQ(run({"check", path("m.lsd")}).exitCode, 0);
+  std::string model = slurp(path("m.lsd"));
+  model[model.size() / 2] = static_cast<char>(model[model.size() / 2] ^ 1);
+  std::ofstream(path("m.lsd"), std::ios::binary) << model;
+  expectRefusal({"check", path("m.lsd")}, "m.lsd");
+  expectRefusal({"check", path("none")}, "none");
+}
+
 TEST_F(CommandLine, RefusesDamagedModels) {
   importSet("set", "sketch");
   ASSERT_EQ(run({"compress", path("sketch"), "--out", path("m.lsd"), "--quiet"}).exitCode, 0);
