@@ -321,7 +321,8 @@ Result<void> GigeDevice::State::open() {
   const auto height = static_cast<std::uint32_t>(source.sensorHeight());
   for (const PixelFormat format : source.formats()) {
     for (const WireFormat& wire : wireFormatsOf(format)) {
-      if (options.packedFormats || wire.packing == WireFormat::Packing::kNone) {
+      if (options.onlyFormat == 0 ? wire.packing == WireFormat::Packing::kNone
+                                  : wire.code == options.onlyFormat) {
         formats.push_back(wire);
       }
     }

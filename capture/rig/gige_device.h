@@ -107,7 +107,7 @@ struct GigeDeviceOptions {
   std::shared_ptr<SlowLink> link;  // null: a link of one's own, fast enough
   std::uint32_t seed = 1;
   RigProgram program = RigProgram::kLamp;  // what "RigProgram" says at first
-  bool packedFormats = false;              // offers the packed kinds of the source's formats, too
+  std::uint32_t onlyFormat = 0;            // code of the only one offered, packed ones included
   bool chunks = false;                     // exposure, gain, time and CRC with every frame
   bool ptp = false;                        // a clock that can follow others'
   bool stamp = false;                      // frames begin with a stamp, see readStamp

@@ -11,6 +11,7 @@
 
 #include "capture/device/camera.h"
 #include "capture/device/gvcp_probe.h"
+#include "capture/device/wire_format.h"
 #include "capture/rig/gige_device.h"
 #include "tests/capture/device/pattern_source.h"
 
@@ -235,6 +236,121 @@ TEST(AravisCamera, ExposureAndGainAreHonouredAndLabelled) {
     EXPECT_NEAR(frame.metadata.gainDb, truth.gainDb, 1e-9);
   }
   expectTrueTimes(frames, rig);
+}
+
+TEST(AravisCamera, ChunksConfirmTheExposureSoThatNoFrameIsSkipped) {
+  GigeDeviceOptions options = at(kScene, 60);
+  options.chunks = true;
+  Rig rig(options, 320, 240);
+  const auto camera = open(kScene);
+  ASSERT_TRUE(camera);
+  Inbox inbox;
+  ASSERT_TRUE(camera->start(inbox.onFrame(), inbox.onEnd()));
+  for (const double exposure : {0.004, 0.008, 0.0005, 0.012}) {
+    CameraSettings wish;
+    wish.exposureSeconds = exposure;
+    wish.gainDb = 1e3 * exposure;
+    ASSERT_TRUE(camera->configure(wish));
+    ASSERT_TRUE(inbox.waitFor(inbox.count() + 5));
+  }
+  camera->stop();
+  EXPECT_EQ(camera->statistics().skipped, 1u);  // the first frame; without chunks some more
+  EXPECT_EQ(camera->statistics().implausible, 0u);
+  const auto frames = inbox.take();
+  expectBitExact(frames, rig);
+  for (const Frame& frame : frames) {
+    const ExposureRequest truth = rig.source.request(indexOf(frame));
+    EXPECT_NEAR(frame.metadata.exposureSeconds, truth.exposureSeconds, 1e-9);
+    EXPECT_NEAR(frame.metadata.gainDb, truth.gainDb, 1e-9);
+  }
+}
+
+TEST(AravisCamera, PackedFormatsAreUnpacked) {
+  for (const PixelFormat format :
+       {PixelFormat::kMono10, PixelFormat::kMono12, PixelFormat::kBayerGB10,
+        PixelFormat::kBayerBG12, PixelFormat::kRgb8}) {
+    for (const WireFormat& wire : wireFormatsOf(format)) {
+      SCOPED_TRACE(wire.name);
+      GigeDeviceOptions options = at(kScene, 60);
+      options.onlyFormat = wire.code;
+      Rig rig(options, 64, 48, {format});
+      const auto camera = open(kScene);
+      ASSERT_TRUE(camera);
+      CameraSettings wish;
+      wish.format = format;
+      const auto settings = camera->configure(wish);
+      ASSERT_TRUE(settings) << settings.error().message;
+      EXPECT_EQ(settings->format, format);
+      Inbox inbox;
+      ASSERT_TRUE(camera->start(inbox.onFrame(), inbox.onEnd()));
+      EXPECT_TRUE(inbox.waitFor(3));
+      camera->stop();
+      expectBitExact(inbox.take(), rig);
+    }
+  }
+}
+
+TEST(AravisCamera, TriggersStartSingleExposures) {
+  Rig rig(at(kScene), 64, 48);
+  const auto camera = open(kScene);
+  ASSERT_TRUE(camera);
+  for (const std::string source : {"Software", "Line1"}) {
+    SCOPED_TRACE(source);
+    CameraSettings wish;
+    wish.trigger = source;
+    const auto settings = camera->configure(wish);
+    ASSERT_TRUE(settings) << settings.error().message;
+    EXPECT_EQ(settings->trigger, source);
+    Inbox inbox;
+    ASSERT_TRUE(camera->start(inbox.onFrame(), inbox.onEnd()));
+    const std::size_t before = rig.source.exposed();
+    for (std::size_t i = 1; i <= 4; ++i) {
+      if (source == "Line1") {
+        rig.device->pulse();
+      } else {
+        ASSERT_TRUE(camera->setFeature("TriggerSoftware", 1));
+      }
+      ASSERT_TRUE(eventually([&] { return rig.source.exposed() == before + i; }));
+    }
+    EXPECT_TRUE(inbox.waitFor(3));  // the first frame of a stream is dropped
+    camera->stop();
+    EXPECT_EQ(rig.source.exposed(), before + 4);
+    expectTrueTimes(inbox.take(), rig);
+  }
+  CameraSettings wish;
+  wish.trigger = "Line7";
+  const auto refused = camera->configure(wish);
+  ASSERT_FALSE(refused);
+  EXPECT_NE(refused.error().message.find("Line1"), std::string::npos) << refused.error().message;
+  wish.trigger = "";
+  ASSERT_TRUE(camera->configure(wish));
+  Inbox inbox;
+  ASSERT_TRUE(camera->start(inbox.onFrame(), inbox.onEnd()));
+  EXPECT_TRUE(inbox.waitFor(3));
+}
+
+TEST(AravisCamera, PacketSizeIsWhatTheNetworkTakesAndTheSocketBufferWhatTheSystemGives) {
+  for (const int mtu : {1500, 9000}) {
+    GigeDeviceOptions options = at(kScene);
+    options.mtu = mtu;
+    Rig rig(options);
+    const auto camera = open(kScene);
+    ASSERT_TRUE(camera);
+    Inbox inbox;
+    ASSERT_TRUE(camera->start(inbox.onFrame(), inbox.onEnd()));
+    EXPECT_TRUE(inbox.waitFor(3));
+    camera->stop();
+    const StreamStatistics statistics = camera->statistics();
+    EXPECT_LE(statistics.packetBytes, mtu);
+    EXPECT_GT(statistics.packetBytes, mtu - 100);
+    const bool capped = statistics.socketBuffer < 4u << 20;
+    EXPECT_GT(statistics.socketBuffer, 0u);
+    EXPECT_EQ(camera->notes().size(), capped ? 1u : 0u);
+    if (capped) {
+      EXPECT_NE(camera->notes()[0].find("rmem_max"), std::string::npos);
+    }
+    expectBitExact(inbox.take(), rig);
+  }
 }
 
 TEST(AravisCamera, SettingsOutOfRangeAreRefusedWithTheLimits) {
