@@ -1,10 +1,13 @@
 #include "calibration/lens/foreign_lens.h"
 
+#include <expat.h>
+
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdlib>
 #include <map>
+#include <memory>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/core.hpp>
 #include <span>
@@ -356,41 +359,35 @@ Result<ForeignLens> kalibrLens(const std::map<std::string, std::string>& leaves,
   return lens;
 }
 
-// OpenCV's own reader flattens what it knows: numbers, texts, matrices.
-Result<std::map<std::string, std::string>> openCvLeaves(const std::string& text,
-                                                        const std::string& where) {
-  std::map<std::string, std::string> leaves;
-  try {
-    const cv::FileStorage file(text, cv::FileStorage::READ | cv::FileStorage::MEMORY);
-    for (const cv::FileNode node : file.root()) {
-      const std::string name = node.name();
-      if (node.isInt() || node.isReal()) {
-        leaves[name] = fmt::format("{}", static_cast<double>(node));
-      } else if (node.isString()) {
-        leaves[name] = static_cast<std::string>(node);
-      } else if (node.isSeq()) {
-        for (const cv::FileNode item : node) {
-          if (item.isInt() || item.isReal()) {
-            leaves[name] += fmt::format("{} ", static_cast<double>(item));
-          }
-        }
-      } else if (node.isMap() && !node["data"].empty()) {
-        // Nothing here is larger than 3 x 3 or 14; sizes are not to be believed.
-        const auto rows = static_cast<double>(node["rows"]);
-        const auto columns = static_cast<double>(node["cols"]);
-        if (!(rows >= 1 && columns >= 1 && rows * columns <= 1000)) continue;
-        cv::Mat matrix;
-        node >> matrix;
-        matrix.convertTo(matrix, CV_64F);
-        for (int i = 0; i < static_cast<int>(matrix.total()); ++i) {
-          leaves[name + ".data"] += fmt::format("{} ", matrix.at<double>(i));
-        }
-      }
-    }
-  } catch (const std::exception& error) {  // cv::Exception, and what its parser runs into
-    return failure(ErrorCode::kCorrupt, "{}: OpenCV cannot read it: {}", where, error.what());
+// As flatYaml, of OpenCV's XML: its root left out. Not by cv::FileStorage, which crashes on files
+// that are no XML.
+Result<std::map<std::string, std::string>> flatXml(const std::string& text,
+                                                   const std::string& where) {
+  struct Reading {
+    std::map<std::string, std::string> leaves;
+    std::vector<std::string> path;  // dotted, from below the root to where it reads
+  } reading;
+  const std::unique_ptr<XML_ParserStruct, decltype(&XML_ParserFree)> parser(
+      XML_ParserCreate(nullptr), &XML_ParserFree);
+  XML_SetUserData(parser.get(), &reading);
+  XML_SetElementHandler(
+      parser.get(),
+      [](void* data, const XML_Char* name, const XML_Char**) {
+        auto& path = static_cast<Reading*>(data)->path;
+        const bool within = !path.empty() && path.size() < 5;  // nothing known is deeper
+        path.push_back(!within ? "" : path.back().empty() ? name : path.back() + "." + name);
+      },
+      [](void* data, const XML_Char*) { static_cast<Reading*>(data)->path.pop_back(); });
+  XML_SetCharacterDataHandler(parser.get(), [](void* data, const XML_Char* characters, int count) {
+    auto& into = *static_cast<Reading*>(data);
+    into.leaves[into.path.back()].append(characters, static_cast<std::size_t>(count));
+  });
+  if (XML_Parse(parser.get(), text.data(), static_cast<int>(text.size()), 1) != XML_STATUS_OK) {
+    return failure(ErrorCode::kCorrupt, "{}: line {}: {}", where,
+                   XML_GetCurrentLineNumber(parser.get()),
+                   XML_ErrorString(XML_GetErrorCode(parser.get())));
   }
-  return leaves;
+  return std::move(reading.leaves);
 }
 
 }  // namespace
@@ -411,15 +408,15 @@ Result<ForeignLens> parseForeignLens(const std::string& text, const std::string&
     }
     return lens;
   }
-  if (text.starts_with("%YAML") || text.starts_with("<?xml")) {
-    ASSIGN_OR_RETURN(auto leaves, openCvLeaves(text, where));
+  if (text.starts_with("<?xml")) {
+    ASSIGN_OR_RETURN(auto leaves, flatXml(text, where));
     return openCvLens(Keys(std::move(leaves), where));
   }
   auto leaves = flatYaml(text);
   if (leaves.contains("cam0.camera_model") || leaves.contains("intrinsics")) {
     return kalibrLens(leaves, where);
   }
-  if (leaves.contains("camera_matrix.data") || leaves.contains("K")) {
+  if (text.starts_with("%YAML") || leaves.contains("camera_matrix.data") || leaves.contains("K")) {
     return openCvLens(Keys(std::move(leaves), where));
   }
   return failure(ErrorCode::kUnsupported,

@@ -277,9 +277,42 @@ Result<std::string> encodeExr(const RadianceImage& image, const ExrOptions& opti
   }
 }
 
+namespace {
+
+// OpenEXR allocates what an attribute of the header claims to hold before it reads it: throws where
+// one claims more than the file has left.
+void checkHeader(std::string_view bytes) {
+  constexpr std::size_t kVersionEnd = 8;
+  const bool severalParts = bytes.size() > 5 && (bytes[5] & 0x10) != 0;
+  const std::runtime_error tooShort("the header ends too early");
+  const auto skipName = [&](std::size_t at) {
+    const std::size_t end = bytes.find('\0', at);
+    if (end == std::string_view::npos) throw tooShort;
+    return end + 1;
+  };
+  for (std::size_t at = kVersionEnd;;) {
+    const std::size_t afterName = skipName(at);
+    if (afterName == at + 1) {  // the end of a part's attributes
+      if (!severalParts || skipName(afterName) == afterName + 1) return;
+      at = afterName;
+      continue;
+    }
+    const std::size_t value = skipName(afterName) + 4;
+    if (value > bytes.size()) throw tooShort;
+    std::uint32_t claimed = 0;
+    for (std::size_t i = 1; i <= 4; ++i)
+      claimed = claimed << 8 | static_cast<std::uint8_t>(bytes[value - i]);
+    if (claimed > bytes.size() - value) throw tooShort;
+    at = value + claimed;
+  }
+}
+
+}  // namespace
+
 Result<RadianceImage> decodeExr(std::string_view bytes, std::string_view where) {
   try {
     limitOpenExr();
+    checkHeader(bytes);
     MemoryInput stream(bytes);
     Imf::InputFile file(stream, 0);
     const auto& window = file.header().dataWindow();
@@ -331,6 +364,7 @@ Result<RadianceImage> decodeExr(std::string_view bytes, std::string_view where) 
 Result<ExrOptions> readExrHeader(std::string_view bytes, std::string_view where) {
   try {
     limitOpenExr();
+    checkHeader(bytes);
     MemoryInput stream(bytes);
     const Imf::InputFile file(stream, 0);
     ExrOptions found;

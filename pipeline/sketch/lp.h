@@ -32,11 +32,10 @@ struct LightList {
 
 // The list of `folder`: `lp` if given, else the folder's only .lp file (dirs.lp if there are
 // several), else light_directions.txt with filenames.txt. `intensities`, else the folder's
-// light_intensities.txt where there is one, is a table of 1 or 3 columns, a row for every line of the
-// list.
-// Images are looked for beside the list and in `folder`. Warns about vectors that are not of unit
-// length (and normalises them), images that do not exist or are listed twice (and skips them), and
-// a wrong count. Refuses what is not a number, with file and line.
+// light_intensities.txt where there is one, is a table of 1 or 3 columns, a row for every line of
+// the list. Images are looked for beside the list and in `folder`. Warns about vectors that are not
+// of unit length (and normalises them), images that do not exist or are listed twice (and skips
+// them), and a wrong count. Refuses what is not a number, with file and line.
 Result<LightList> readLightList(const std::filesystem::path& folder,
                                 const std::optional<std::filesystem::path>& lp,
                                 const std::optional<std::filesystem::path>& intensities,

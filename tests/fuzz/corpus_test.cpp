@@ -62,7 +62,7 @@ TEST_P(FuzzCorpus, AndItsMutationsBreakNothing) {
 }
 
 INSTANTIATE_TEST_SUITE_P(, FuzzCorpus, testing::ValuesIn(targets().begin(), targets().end()),
-                         [](const auto& info) { return std::string(info.param.name); });
+                         [](const auto& target) { return std::string(target.param.name); });
 
 TEST(FuzzTargets, EveryCorpusFolderIsATarget) {
   for (const auto& entry : fs::directory_iterator(kFolder / "corpus")) {

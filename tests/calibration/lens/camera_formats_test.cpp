@@ -291,20 +291,32 @@ TEST(CameraFormats, OpenCvPinholesAndRosFilesAreRead) {
 
 TEST(CameraFormats, CvOmnidirFilesAreRead) {
   const TemporaryFolder folder;
-  expectProjects(
-      folder,
+  const char* const yaml =
       "%YAML:1.0\n---\nimage_size: [ 800, 800 ]\nK: !!opencv-matrix\n   rows: 3\n   cols: 3\n"
       "   dt: d\n   data: [ 500., 2., 401.5, 0., 501., 398., 0., 0., 1. ]\n"
       "D: !!opencv-matrix\n   rows: 1\n   cols: 4\n   dt: d\n   data: [ -0.05, 0.01, 0., 0. ]\n"
-      "xi: !!opencv-matrix\n   rows: 1\n   cols: 1\n   dt: d\n   data: [ 1.1 ]\n",
-      [](const Vector3d& v) {
-        const double x = v.x() / (v.z() + 1.1);
-        const double y = v.y() / (v.z() + 1.1);
-        const double r2 = x * x + y * y;
-        const double c = 1 - 0.05 * r2 + 0.01 * r2 * r2;
-        return Vector2d(500 * c * x + 2 * c * y + 401.5, 501 * c * y + 398);
-      },
-      75, 0.3);  // our lens has no skew
+      "xi: !!opencv-matrix\n   rows: 1\n   cols: 1\n   dt: d\n   data: [ 1.1 ]\n";
+  const char* const xml =
+      "<?xml version=\"1.0\"?>\n<opencv_storage>\n<image_size>\n  800 800</image_size>\n"
+      "<K type_id=\"opencv-matrix\">\n  <rows>3</rows>\n  <cols>3</cols>\n  <dt>d</dt>\n"
+      "  <data>\n    500. 2. 401.5 0. 501. 398. 0. 0. 1.</data></K>\n"
+      "<D type_id=\"opencv-matrix\"><rows>1</rows><cols>4</cols><dt>d</dt>\n"
+      "  <data>-0.05 0.01 0. 0.</data></D>\n"
+      "<xi type_id=\"opencv-matrix\"><rows>1</rows><cols>1</cols><dt>d</dt>\n"
+      "  <data>1.1</data></xi>\n</opencv_storage>\n";
+  for (const char* const text : {yaml, xml}) {
+    SCOPED_TRACE(text);
+    expectProjects(
+        folder, text,
+        [](const Vector3d& v) {
+          const double x = v.x() / (v.z() + 1.1);
+          const double y = v.y() / (v.z() + 1.1);
+          const double r2 = x * x + y * y;
+          const double c = 1 - 0.05 * r2 + 0.01 * r2 * r2;
+          return Vector2d(500 * c * x + 2 * c * y + 401.5, 501 * c * y + 398);
+        },
+        75, 0.3);  // our lens has no skew
+  }
 }
 
 TEST(CameraFormats, LensesOfMrcalAreRead) {
@@ -351,6 +363,8 @@ TEST(CameraFormats, DamagedAndForeignFilesAreRefusedInWords) {
   EXPECT_NE(message("nothing of the kind").find("no camera file"), std::string::npos);
   EXPECT_NE(message("").find("no camera file"), std::string::npos);
   EXPECT_NE(message("%YAML:1.0\n---\nK: [1, 2\n").find("camera.yaml"), std::string::npos);
+  EXPECT_NE(message("<?xml version=\"1.0\"?>\n<a>\n<b></a>").find("line 3: mismatched tag"),
+            std::string::npos);
   EXPECT_NE(message("%YAML:1.0\n---\nimage_width: 10\nimage_height: 10\n").find("camera_matrix"),
             std::string::npos);
   EXPECT_NE(message(kalibr("pinhole", "[250, 251, 401.5]", "equidistant", "[0, 0, 0, 0]"))
