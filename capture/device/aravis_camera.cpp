@@ -40,8 +40,9 @@ constexpr int kComparisons = 4;
 // exposure and that differs by camera; this is what we admit to.
 constexpr auto kUnlatchedSigma = std::chrono::milliseconds(2);
 constexpr auto kUnlatchedWindow = std::chrono::seconds(1);
-// Frames without any time of their own: the jitter of their arrival on a busy machine.
-constexpr auto kUnstampedSigma = std::chrono::milliseconds(10);
+// Frames without any time of their own come as late as the link and a busy machine make them:
+// enough for a lamp that is held still, and a recording refuses the others.
+constexpr auto kUnstampedSigma = std::chrono::milliseconds(100);
 // From a frame's mapped time to its first packet it takes nearly always the same time. What differs
 // by more than this has a wrong time, or comes from a computer too busy to tell.
 constexpr auto kDelayTolerance = std::chrono::milliseconds(200);

@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <fstream>
 #include <iterator>
+#include <ostream>
 #include <random>
 #include <string>
 #include <vector>
@@ -14,6 +15,10 @@
 #include "tests/fuzz/targets.h"
 
 namespace lightsketch::fuzz {
+
+// How GoogleTest names it.
+static void PrintTo(const Target& target, std::ostream* out) { *out << target.name; }
+
 namespace {
 
 namespace fs = std::filesystem;

@@ -116,8 +116,9 @@ QLayout* RigPage::buildCameras() {
     connect(box->lineEdit(), &QLineEdit::editingFinished, this, &RigPage::useChosenCameras);
     return box;
   };
-  scene_ = chooser("sceneCamera", tr("The camera that looks at the subject: one that was found, or "
-                                     "an address such as aravis:192.168.1.20 or replay:FOLDER"));
+  scene_ = chooser("sceneCamera",
+                   tr("The camera that looks at the subject: one that was found, or "
+                      "an address such as aravis:192.168.1.20, v4l2:/dev/video0 or replay:FOLDER"));
   add(tr("S&cene"), scene_, 1);
   source_ = chooser("sourceCamera", tr("The camera with the fisheye that watches the lamp"));
   add(tr("S&ource"), source_, 1);
