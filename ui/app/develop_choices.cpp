@@ -50,12 +50,11 @@ DevelopChoices::DevelopChoices(Workspace& workspace, QWidget* parent)
   const QString how =
       tr("Errors as parts of the picture's brightness. Ranks and roundings are chosen so that no "
          "bit is spent on less (lightsketch compress --quality %1)");
-  large(kSmall, "qualitySmall", tr("&Small"), tr("to show and to send; errors near 3 %"),
-        how.arg("small"));
-  large(kStandard, "qualityStandard", tr("S&tandard"), tr("for most work; errors near 1.5 %"),
+  large(kSmall, "qualitySmall", tr("&Small"), tr("to show and to send"), how.arg("small"));
+  large(kStandard, "qualityStandard", tr("S&tandard"), tr("for most work; nearly twice the bytes"),
         how.arg("standard"));
   large(kArchive, "qualityArchive", tr("&Archive"),
-        tr("to keep and to measure from; errors near 1 %"), how.arg("archive"));
+        tr("to keep and to measure from; 2.5 times the bytes"), how.arg("archive"));
 
   auto* targets = new QGridLayout;
   targets->setColumnStretch(1, 1);
