@@ -48,8 +48,8 @@ DevelopChoices::DevelopChoices(Workspace& workspace, QWidget* parent)
     column->addWidget(button);
   };
   const QString how =
-      tr("Errors as parts of the picture's brightness. Ranks and roundings are chosen so that no "
-         "bit is spent on less (lightsketch compress --quality %1)");
+      tr("Ranks and roundings are chosen so that every bit buys as much as any other; the error is "
+         "measured afterwards (lightsketch compress --quality %1)");
   large(kSmall, "qualitySmall", tr("&Small"), tr("to show and to send"), how.arg("small"));
   large(kStandard, "qualityStandard", tr("S&tandard"), tr("for most work; nearly twice the bytes"),
         how.arg("standard"));
