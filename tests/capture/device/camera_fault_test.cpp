@@ -15,6 +15,7 @@
 #include <future>
 #include <map>
 #include <mutex>
+#include <ostream>
 
 #include "capture/device/camera.h"
 #include "capture/rig/gige_device.h"
@@ -145,6 +146,7 @@ struct Loss {
   double share;
   int frames;
 };
+void PrintTo(const Loss& loss, std::ostream* out) { *out << 100 * loss.share << " %"; }
 class FaultLoss : public ::testing::TestWithParam<Loss> {};
 
 TEST_P(FaultLoss, WithResendEveryFrameIsComplete) {
@@ -178,8 +180,10 @@ TEST_P(FaultLoss, WithoutResendOnlyWholeFramesPass) {
   const double expected = 300 * std::pow(1 - GetParam().share, 107);
   EXPECT_NEAR(trial.good(), expected, 5 * std::sqrt(expected * (1 - expected / 300)) + 5);
   const StreamStatistics s = trial.camera->statistics();
+  // An incomplete frame is given up after 0.4 s: those of the last 0.4 s at 60 a second are told by
+  // nobody, and the first frame is not counted.
   EXPECT_NEAR(static_cast<double>(s.delivered + Trial::withheld(s)),
-              static_cast<double>(trial.sent()), 20);
+              static_cast<double>(trial.sent()), 30);
 }
 
 INSTANTIATE_TEST_SUITE_P(FaultWire, FaultLoss,
