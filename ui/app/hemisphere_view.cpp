@@ -12,6 +12,7 @@
 #include <numbers>
 
 #include "capture/frame/direction.h"
+#include "ui/app/dot_stamp.h"
 
 namespace lightsketch {
 namespace {
@@ -134,18 +135,13 @@ int HemisphereView::handleAt(const QPointF& point) const {
 
 void HemisphereView::paintDot(QPainter& painter, const Dot& dot) const {
   const QPointF at = project(dot.direction);
+  const QColor base = palette().color(QPalette::Base);
   if (dot.hollow) {
-    // What was there before, if it was drawn filled.
-    painter.setPen(Qt::NoPen);
-    painter.setBrush(palette().color(QPalette::Base));
-    painter.drawEllipse(at, dot.radius + 1, dot.radius + 1);
-    painter.setPen(QPen(dot.colour, 1.5));
-    painter.setBrush(Qt::NoBrush);
+    stampDot(painter, at, dot.radius + 1, Qt::NoPen, base);  // what was there, if it was filled
+    stampDot(painter, at, dot.radius, QPen(dot.colour, 1.5), Qt::transparent);
   } else {
-    painter.setPen(Qt::NoPen);
-    painter.setBrush(dot.colour);
+    stampDot(painter, at, dot.radius, Qt::NoPen, dot.colour);
   }
-  painter.drawEllipse(at, dot.radius, dot.radius);
 }
 
 // Disc, rings and dots seldom change, and there may be thousands.

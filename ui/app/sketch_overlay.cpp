@@ -8,6 +8,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "ui/app/dot_stamp.h"
+
 namespace lightsketch {
 namespace {
 
@@ -53,6 +55,13 @@ void SketchOverlay::setDot(int index, SketchDot dot) {
   if (layer_.isNull()) return;
   QPainter painter(&layer_);
   painter.setRenderHint(QPainter::Antialiasing);
+  if (pixels_[i]) {  // what was there before
+    painter.setCompositionMode(QPainter::CompositionMode_Clear);
+    painter.setPen(Qt::NoPen);
+    painter.setBrush(Qt::black);
+    painter.drawEllipse(layerFromFrame_.map(*pixels_[i]), radius_ + 3, radius_ + 3);
+    painter.setCompositionMode(QPainter::CompositionMode_SourceOver);
+  }
   paintDot(painter, layerFromFrame_, i);
 }
 
@@ -71,12 +80,6 @@ void SketchOverlay::paintDot(QPainter& painter, const QTransform& widgetFromFram
   if (!pixels_[index]) return;
   const QPointF at = widgetFromFrame.map(*pixels_[index]);
   const QColor colour = colourOf(dots_[index]);
-  // What was there before.
-  painter.setCompositionMode(QPainter::CompositionMode_Clear);
-  painter.setPen(Qt::NoPen);
-  painter.setBrush(Qt::black);
-  painter.drawEllipse(at, radius_ + 3, radius_ + 3);
-  painter.setCompositionMode(QPainter::CompositionMode_SourceOver);
   if (dots_[index] == SketchDot::kRefused) {
     const double r = radius_ + 1;
     painter.setPen(QPen(colour, 2.5, Qt::SolidLine, Qt::RoundCap));
@@ -84,9 +87,9 @@ void SketchOverlay::paintDot(QPainter& painter, const QTransform& widgetFromFram
     painter.drawLine(at - QPointF(r, -r), at + QPointF(r, -r));
     return;
   }
-  painter.setPen(QPen(dots_[index] == SketchDot::kOpen ? colour : QColor(0, 0, 0, 150), 1.3));
-  painter.setBrush(dots_[index] == SketchDot::kOpen ? QColor(0, 0, 0, 90) : colour);
-  painter.drawEllipse(at, radius_, radius_);
+  const bool open = dots_[index] == SketchDot::kOpen;
+  stampDot(painter, at, radius_, QPen(open ? colour : QColor(0, 0, 0, 150), 1.3),
+           open ? QColor(0, 0, 0, 90) : colour);
 }
 
 void SketchOverlay::paintLayer(const QPainter& painter, const QTransform& widgetFromFrame) {
