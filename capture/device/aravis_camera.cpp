@@ -339,24 +339,6 @@ std::optional<ClockMapping::Mapped> Link::mapTime(std::int64_t deviceTimeNs, Tim
   return mapped;
 }
 
-// CRC-16/XMODEM, as Basler's PayloadCRC16.
-std::uint16_t crc16(std::span<const std::uint8_t> bytes) {
-  static const auto table = [] {
-    std::array<std::uint16_t, 256> values{};
-    for (unsigned i = 0; i < values.size(); ++i) {
-      unsigned crc = i << 8;
-      for (int bit = 0; bit < 8; ++bit) crc = crc << 1 ^ ((crc & 0x8000) != 0 ? 0x1021u : 0u);
-      values[i] = static_cast<std::uint16_t>(crc);
-    }
-    return values;
-  }();
-  std::uint16_t crc = 0;
-  for (const std::uint8_t byte : bytes) {
-    crc = static_cast<std::uint16_t>(crc << 8 ^ table[static_cast<std::size_t>(crc >> 8 ^ byte)]);
-  }
-  return crc;
-}
-
 // Walks the chunks from the last to the picture, which is the first (GigE Vision 2.0, section 27:
 // each is followed by its id and length). The picture's bytes; 0 if the lengths do not add up.
 std::size_t imageBytesBeforeChunks(std::span<const std::uint8_t> payload) {

@@ -11,25 +11,13 @@
 #include <cstring>
 #include <string_view>
 
+#include "capture/frame/descriptor.h"
+
 namespace lightsketch {
 namespace {
 
 constexpr std::uint16_t kGvcpPort = 3956;
 constexpr auto kRepeat = std::chrono::milliseconds(250);  // a datagram may be lost
-
-class Socket {
- public:
-  Socket() : fd_(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {}
-  ~Socket() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Socket(const Socket&) = delete;
-  Socket& operator=(const Socket&) = delete;
-  int fd() const { return fd_; }
-
- private:
-  int fd_;
-};
 
 sockaddr_in gvcpAddress(const std::string& ipv4Address) {
   sockaddr_in address{};
@@ -80,23 +68,23 @@ std::vector<CameraInfo> probeCameras(std::span<const std::string> ipv4Addresses,
   static constexpr std::array<std::uint8_t, kHeaderSize> kRequest = {0x42, 0x01, 0,    2,
                                                                      0,    0,    0xff, 0xff};
   std::vector<CameraInfo> found;
-  const Socket socket;
+  const Descriptor socket(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0));
   const TimePoint end = Clock::now() + timeout;
   while (found.size() < ipv4Addresses.size() && Clock::now() < end) {
     for (const std::string& address : ipv4Addresses) {
       const sockaddr_in to = gvcpAddress(address);
-      (void)::sendto(socket.fd(), kRequest.data(), kRequest.size(), 0,
+      (void)::sendto(socket.get(), kRequest.data(), kRequest.size(), 0,
                      reinterpret_cast<const sockaddr*>(&to), sizeof to);
     }
     const TimePoint again = std::min(end, Clock::now() + kRepeat);
     while (found.size() < ipv4Addresses.size()) {
       const auto left = std::chrono::ceil<std::chrono::milliseconds>(again - Clock::now()).count();
-      pollfd event{socket.fd(), POLLIN, 0};
+      pollfd event{socket.get(), POLLIN, 0};
       if (left <= 0 || ::poll(&event, 1, static_cast<int>(left)) <= 0) break;
       std::array<std::uint8_t, 1024> answer;
       sockaddr_in from{};
       socklen_t length = sizeof from;
-      const ssize_t size = ::recvfrom(socket.fd(), answer.data(), answer.size(), MSG_DONTWAIT,
+      const ssize_t size = ::recvfrom(socket.get(), answer.data(), answer.size(), MSG_DONTWAIT,
                                       reinterpret_cast<sockaddr*>(&from), &length);
       if (size < 0) continue;
       auto info = parseDiscoveryAnswer(std::span(answer).first(static_cast<std::size_t>(size)),
@@ -113,12 +101,12 @@ std::vector<CameraInfo> probeCameras(std::span<const std::string> ipv4Addresses,
 
 std::string localAddressTowards(const std::string& ipv4Address) {
   // Connecting a datagram socket sends nothing; it only makes the kernel choose a route.
-  const Socket socket;
+  const Descriptor socket(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0));
   const sockaddr_in to = gvcpAddress(ipv4Address);
   sockaddr_in own{};
   socklen_t length = sizeof own;
-  if (::connect(socket.fd(), reinterpret_cast<const sockaddr*>(&to), sizeof to) != 0 ||
-      ::getsockname(socket.fd(), reinterpret_cast<sockaddr*>(&own), &length) != 0) {
+  if (::connect(socket.get(), reinterpret_cast<const sockaddr*>(&to), sizeof to) != 0 ||
+      ::getsockname(socket.get(), reinterpret_cast<sockaddr*>(&own), &length) != 0) {
     return {};
   }
   return toText(own.sin_addr);

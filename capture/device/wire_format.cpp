@@ -141,4 +141,21 @@ std::vector<std::uint8_t> packPixels(const WireFormat& format,
   return out;
 }
 
+std::uint16_t crc16(std::span<const std::uint8_t> bytes) {
+  static const auto table = [] {
+    std::array<std::uint16_t, 256> values{};
+    for (unsigned i = 0; i < values.size(); ++i) {
+      unsigned crc = i << 8;
+      for (int bit = 0; bit < 8; ++bit) crc = crc << 1 ^ ((crc & 0x8000) != 0 ? 0x1021u : 0u);
+      values[i] = static_cast<std::uint16_t>(crc);
+    }
+    return values;
+  }();
+  std::uint16_t crc = 0;
+  for (const std::uint8_t byte : bytes) {
+    crc = static_cast<std::uint16_t>(crc << 8 ^ table[static_cast<std::size_t>(crc >> 8 ^ byte)]);
+  }
+  return crc;
+}
+
 }  // namespace lightsketch

@@ -40,4 +40,7 @@ void unpackPixels(const WireFormat& format, std::span<const std::uint8_t> wire, 
 // The inverse.
 std::vector<std::uint8_t> packPixels(const WireFormat& format, std::span<const std::uint8_t> frame);
 
+// Basler's PayloadCRC16: CRC-16/XMODEM (polynomial 0x1021, initially 0).
+std::uint16_t crc16(std::span<const std::uint8_t> bytes);
+
 }  // namespace lightsketch

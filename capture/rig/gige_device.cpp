@@ -23,6 +23,8 @@
 #include <thread>
 #include <utility>
 
+#include "capture/device/wire_format.h"
+#include "capture/frame/descriptor.h"
 #include "capture/frame/file.h"
 #include "capture/rig/genicam_xml.h"
 
@@ -94,20 +96,6 @@ void putText(Bytes& bytes, std::size_t at, std::size_t size, std::string_view te
               bytes.begin() + static_cast<std::ptrdiff_t>(at));
 }
 
-class Socket {
- public:
-  Socket() : fd_(::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0)) {}
-  ~Socket() {
-    if (fd_ >= 0) ::close(fd_);
-  }
-  Socket(const Socket&) = delete;
-  Socket& operator=(const Socket&) = delete;
-  int fd() const { return fd_; }
-
- private:
-  int fd_;
-};
-
 sockaddr_in makeAddress(std::uint32_t ip, std::uint16_t port) {
   sockaddr_in address{};
   address.sin_family = AF_INET;
@@ -121,9 +109,9 @@ bool sameHost(const sockaddr_in& a, const sockaddr_in& b) {
 bool sameSender(const sockaddr_in& a, const sockaddr_in& b) {
   return sameHost(a, b) && a.sin_port == b.sin_port;
 }
-void sendTo(const Socket& socket, const Bytes& packet, const sockaddr_in& to) {
+void sendTo(const Descriptor& socket, const Bytes& packet, const sockaddr_in& to) {
   // A datagram that cannot be sent is a lost one, which the protocol is made for.
-  (void)::sendto(socket.fd(), packet.data(), packet.size(), 0,
+  (void)::sendto(socket.get(), packet.data(), packet.size(), 0,
                  reinterpret_cast<const sockaddr*>(&to), sizeof to);
 }
 
@@ -281,8 +269,8 @@ struct GigeDevice::State {
   const TimePoint startTime;
   std::vector<WireFormat> formats;
   std::string xml;
-  Socket gvcp;
-  Socket gvsp;
+  Descriptor gvcp{::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0)};
+  Descriptor gvsp{::socket(AF_INET, SOCK_DGRAM | SOCK_CLOEXEC, 0)};
 
   mutable std::mutex mutex;  // Guards the following.
   std::condition_variable_any changed;
@@ -336,11 +324,11 @@ Result<void> GigeDevice::State::open() {
                    options.address);
   }
 
-  for (const auto& [socket, port] : {std::pair<const Socket*, int>{&gvcp, options.controlPort},
-                                     std::pair<const Socket*, int>{&gvsp, 0}}) {
+  for (const auto& [socket, port] : {std::pair<const Descriptor*, int>{&gvcp, options.controlPort},
+                                     std::pair<const Descriptor*, int>{&gvsp, 0}}) {
     const sockaddr_in own = makeAddress(ip, static_cast<std::uint16_t>(port));
-    if (socket->fd() < 0 ||
-        ::bind(socket->fd(), reinterpret_cast<const sockaddr*>(&own), sizeof own) != 0) {
+    if (socket->get() < 0 ||
+        ::bind(socket->get(), reinterpret_cast<const sockaddr*>(&own), sizeof own) != 0) {
       const int error = errno;
       if (error == EADDRINUSE) {
         return failure(ErrorCode::kDevice,
@@ -356,7 +344,7 @@ Result<void> GigeDevice::State::open() {
   }
   sockaddr_in streamAddress{};
   socklen_t length = sizeof streamAddress;
-  ::getsockname(gvsp.fd(), reinterpret_cast<sockaddr*>(&streamAddress), &length);
+  ::getsockname(gvsp.get(), reinterpret_cast<sockaddr*>(&streamAddress), &length);
 
   // Bootstrap registers.
   xml = gige::genicamXml({formats, options.chunks, options.ptp});
@@ -420,11 +408,11 @@ std::uint64_t GigeDevice::State::deviceClock(TimePoint time) const {
 void GigeDevice::State::controlLoop(std::stop_token stop) {
   std::array<std::uint8_t, 2048> buffer;
   while (!stop.stop_requested()) {
-    pollfd event{gvcp.fd(), POLLIN, 0};
+    pollfd event{gvcp.get(), POLLIN, 0};
     if (::poll(&event, 1, kPollMilliseconds) > 0) {
       sockaddr_in from{};
       socklen_t length = sizeof from;
-      const ssize_t size = ::recvfrom(gvcp.fd(), buffer.data(), buffer.size(), MSG_DONTWAIT,
+      const ssize_t size = ::recvfrom(gvcp.get(), buffer.data(), buffer.size(), MSG_DONTWAIT,
                                       reinterpret_cast<sockaddr*>(&from), &length);
       if (size > 0) handle(View(buffer).first(static_cast<std::size_t>(size)), from);
     }
@@ -967,23 +955,6 @@ std::optional<FrameStamp> readStamp(std::span<const std::uint8_t> bytes, PixelFo
     }
   }
   return FrameStamp{values[0], 1e-9 * static_cast<double>(values[1])};
-}
-
-std::uint16_t crc16(View bytes) {
-  static const auto table = [] {
-    std::array<std::uint16_t, 256> values{};
-    for (unsigned i = 0; i < values.size(); ++i) {
-      unsigned crc = i << 8;
-      for (int bit = 0; bit < 8; ++bit) crc = crc << 1 ^ ((crc & 0x8000) != 0 ? 0x1021u : 0u);
-      values[i] = static_cast<std::uint16_t>(crc);
-    }
-    return values;
-  }();
-  std::uint16_t crc = 0;
-  for (const std::uint8_t byte : bytes) {
-    crc = static_cast<std::uint16_t>(crc << 8 ^ table[static_cast<std::size_t>(crc >> 8 ^ byte)]);
-  }
-  return crc;
 }
 
 }  // namespace lightsketch

@@ -145,7 +145,4 @@ struct FrameStamp {
 // Nothing if one bit of the frame is not as it was sent.
 std::optional<FrameStamp> readStamp(std::span<const std::uint8_t> bytes, PixelFormat format);
 
-// Basler's PayloadCRC16: CRC-16/XMODEM (polynomial 0x1021, initially 0).
-std::uint16_t crc16(std::span<const std::uint8_t> bytes);
-
 }  // namespace lightsketch

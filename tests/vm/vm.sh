@@ -71,17 +71,17 @@ mkdir -p "$folder/image"
 # What changes goes into a second archive: programs with their libraries.
 own=$folder/$scenario
 rm -rf "$own"
-mkdir -p "$own/root/bin"
-ln -s "$here/init" "$own/root/init"
+mkdir -p "$own/files/bin"
+ln -s "$here/init" "$own/files/init"
 for program in "$@"; do
-  ln -s "$program" "$own/root/bin/"
+  ln -s "$program" "$own/files/bin/"
   ldd "$program" 2>/dev/null | grep -o '/[^ ]*' | while read -r library; do
-    mkdir -p "$own/root${library%/*}"
-    ln -sf "$library" "$own/root$library"
+    mkdir -p "$own/files${library%/*}"
+    ln -sf "$library" "$own/files$library"
   done
 done
-(cd "$own/root" && find . | cpio -o -L -H newc --quiet) | cat "$folder/image/base.cpio" - >"$own/initrd"
-rm -rf "$own/root"
+(cd "$own/files" && find . | cpio -o -L -H newc --quiet) | cat "$folder/image/base.cpio" - >"$own/initrd"
+rm -rf "$own/files"
 
 # shellcheck disable=SC2086
 timeout 280 qemu-system-x86_64 -machine q35,usb=off -accel tcg,thread=multi -cpu max -smp 2 -m 1024 \

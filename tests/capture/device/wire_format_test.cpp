@@ -62,5 +62,11 @@ TEST(WireFormat, UnpackingInvertsPackingInEveryFormat) {
   }
 }
 
+// The catalogue of CRC algorithms gives this check value for CRC-16/XMODEM.
+TEST(WireFormat, ChecksumIsTheCataloguesOne) {
+  constexpr std::uint8_t kCheck[] = {'1', '2', '3', '4', '5', '6', '7', '8', '9'};
+  EXPECT_EQ(crc16(kCheck), 0x31C3);
+}
+
 }  // namespace
 }  // namespace lightsketch
