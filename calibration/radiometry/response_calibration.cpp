@@ -420,6 +420,23 @@ double deviationFromLine(const ResponseFit::Curve& curve) {
   return largest;
 }
 
+// Whether a line explains the samples as well as the curve, whose further parameters take some of
+// any noise with them (the F test of nested models). Where the brightest samples end short of
+// saturation the curve is free to bend, which is no sign of a bend.
+bool isAsGood(const ResponseFit& line, const ResponseFit& curve) {
+  const auto misfit = [&](const ResponseFit& fit) {
+    double sum = 0;
+    for (const auto& r : fit.residuals) {
+      sum += std::min(std::pow(r.error / curve.noiseSigma(r.colour, r.value), 2), 25.0);
+    }
+    return sum / static_cast<double>(fit.residuals.size());
+  };
+  const auto further = static_cast<double>(curve.curves.size()) * (ResponseFit::kKnots - 1);
+  const double byChance =
+      (further + 4 * std::sqrt(2 * further)) / static_cast<double>(curve.residuals.size());
+  return misfit(line) <= (1 + byChance) * misfit(curve);
+}
+
 Result<ResponseCurve> curveOf(const ResponseFit& fit, const Camera& camera, bool linear) {
   if (linear) {
     std::vector<double> black;
@@ -818,10 +835,11 @@ Result<ResponseCalibration> calibrateResponse(const ResponseInput& input,
     colour.linearDeviation = deviationFromLine(fit.curves[index(c)]);
     summary.linear = summary.linear && colour.linearDeviation <= options.linearTolerance;
   }
-  if (summary.linear) {
-    ASSIGN_OR_RETURN(
-        fit, fitResponse(samples, {.linear = true, .estimateTimes = summary.timesEstimated}));
-  }
+  // No line at all goes through what a strongly bent response saw.
+  Result<ResponseFit> line =
+      fitResponse(samples, {.linear = true, .estimateTimes = summary.timesEstimated});
+  summary.linear = line && (summary.linear || isAsGood(*line, fit));
+  if (summary.linear) fit = std::move(*line);
   ASSIGN_OR_RETURN(sensor.response, curveOf(fit, camera, summary.linear));
   summary.places = static_cast<int>(samples.places.size());
   for (int c = 0; c < camera.colours; ++c) {

@@ -16,7 +16,7 @@ using Eigen::VectorXd;
 
 constexpr int kNodes = ResponseFit::kNodes;
 constexpr int kNoiseBins = ResponseFit::kNoiseBins;
-constexpr int kKnots = 33;  // of ln(slope), even in the root of the value
+constexpr int kKnots = ResponseFit::kKnots;
 // Second differences of ln(slope) between knots scatter by this much in common response curves
 // (sRGB's largest is 0.05, at black).
 constexpr double kBend = 0.05;

@@ -43,6 +43,7 @@ struct ResponseFitOptions {
 
 struct ResponseFit {
   static constexpr int kNodes = 1025;
+  static constexpr int kKnots = 33;  // of ln(slope), even in the root of the value
   // Relative errors mean nothing at black: they are given from this exposure on.
   static constexpr double kDarkest = 0.003;
   struct Curve {

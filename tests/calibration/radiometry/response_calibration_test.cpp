@@ -149,6 +149,41 @@ TEST(ResponseCalibration, ALinearSensorIsFoundLinearWithItsBlackNoiseHotPixelsAn
   }
 }
 
+// Few places reach the upper half and none the top: the curve is free to bend there.
+TEST(ResponseCalibration, ALineThatEndsShortOfSaturationIsALineAndASlightBendIsNone) {
+  for (const double bow : {0.0, 0.25}) {
+    SimulatedSensor sensor;
+    sensor.format = PixelFormat::kMono12;
+    sensor.width = 96;
+    sensor.height = 96;
+    sensor.pedestal = 64;
+    sensor.fullWell = 2'000;
+    if (bow > 0)
+      sensor.response = [bow](double light) { return light + bow * light * (1 - light); };
+    int nonlinear = 0;
+    double largest = 0;
+    for (unsigned seed = 0; seed < 3; ++seed) {
+      const Scene dim = [&](int x, int y, int) {
+        const double level = SimulatedSensor::fixedPattern(x / 4, y / 4, static_cast<int>(seed));
+        return 0.056 * std::pow(level, 10);
+      };
+      std::vector<Frame> frames;
+      for (int i = -4; i <= 4; ++i) {
+        for (unsigned r = 0; r < 2; ++r) {
+          frames.push_back(sensor.expose(dim, std::pow(2.0, i),
+                                         1000 * seed + static_cast<unsigned>(100 + 10 * i) + r));
+        }
+      }
+      const auto result =
+          calibrateResponse({.brackets = {frames}, .darkFrames = {}, .flatFrames = {}});
+      ASSERT_TRUE(result) << result.error().message;
+      nonlinear += !result->summary.linear;
+      largest = std::max(largest, result->summary.colours[0].linearDeviation);
+    }
+    EXPECT_EQ(nonlinear, bow > 0 ? 3 : 0) << "deviation up to " << largest;
+  }
+}
+
 TEST(ResponseCalibration, BlackIsFoundWithoutDarkFrames) {
   SimulatedSensor sensor;
   sensor.format = PixelFormat::kMono12;
