@@ -3,6 +3,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <iterator>
 
 namespace lightsketch {
 namespace {
@@ -138,7 +139,8 @@ FakeRig::FakeRig(bool guided) {
   lens.cx = lens.cy = kSourceSize / 2.0;
   lens.maxFieldAngle = Angle::degrees(98);
   model_ = FisheyeModel::create(lens).value();
-  movedAt_ = Clock::now();
+  const Eigen::Vector3d begin = Eigen::Vector3d(0.2, 0.1, 1).normalized();
+  moves_.push_back({Clock::now(), true, begin, begin});
   scene_ = std::make_unique<FakeCamera>(*this, false, guided);
   source_ = std::make_unique<FakeCamera>(*this, true, guided);
 }
@@ -164,25 +166,25 @@ RigGeometry FakeRig::geometry() const {
 
 void FakeRig::send(bool lit, const Eigen::Vector3d& target) {
   const std::lock_guard lock(mutex_);
-  lit_ = lit;
-  target_ = target.normalized();
+  const TimePoint now = Clock::now();
+  moves_.push_back({now, lit, moves_.back().at(now), target.normalized()});
 }
 
-FakeRig::Lamp FakeRig::lampAt(TimePoint time) {
+Eigen::Vector3d FakeRig::Move::at(TimePoint time) const {
+  const double angle = std::atan2(from.cross(target).norm(), from.dot(target));
+  const double gone = std::max(0.0, toSeconds(time - start)) * kHandSpeed;
+  if (gone >= angle) return target;
+  return (std::sin(angle - gone) * from + std::sin(gone) * target) / std::sin(angle);
+}
+
+FakeRig::Lamp FakeRig::lampAt(TimePoint time) const {
   const std::lock_guard lock(mutex_);
-  const double angle = std::atan2(direction_.cross(target_).norm(), direction_.dot(target_));
-  const double step = std::max(0.0, toSeconds(time - movedAt_)) * kHandSpeed;
-  if (angle > 1e-9) {
-    const double f = std::min(1.0, step / angle);
-    direction_ =
-        ((std::sin((1 - f) * angle) * direction_ + std::sin(f * angle) * target_) / std::sin(angle))
-            .normalized();
-  }
-  movedAt_ = std::max(movedAt_, time);
+  const auto next = std::ranges::upper_bound(moves_, time, {}, &Move::start);
+  const Move& move = next == moves_.begin() ? *next : *std::prev(next);
   // A hand is never quite still.
   const double t = toSeconds(time.time_since_epoch());
   const Eigen::Vector3d tremor(0.012 * std::sin(23 * t), 0.012 * std::cos(19 * t), 0);
-  return {lit_, (direction_ + tremor).normalized()};
+  return {move.lit, (move.at(time) + tremor).normalized()};
 }
 
 }  // namespace lightsketch

@@ -8,6 +8,7 @@
 #include <memory>
 #include <mutex>
 #include <thread>
+#include <vector>
 
 #include "calibration/model/camera_model.h"
 #include "calibration/model/rig_geometry.h"
@@ -51,13 +52,18 @@ class FakeRig {
     bool lit;
     Eigen::Vector3d direction;
   };
-  Lamp lampAt(TimePoint time);
+  // The hand's way to a target, at one speed along a great circle.
+  struct Move {
+    TimePoint start;
+    bool lit;
+    Eigen::Vector3d from, target;
+    Eigen::Vector3d at(TimePoint time) const;
+  };
+  Lamp lampAt(TimePoint time) const;
   std::shared_ptr<const CameraModel> model_;
-  std::mutex mutex_;  // Guards everything below.
-  TimePoint movedAt_;
-  bool lit_ = true;
-  Eigen::Vector3d direction_ = Eigen::Vector3d(0.2, 0.1, 1).normalized();
-  Eigen::Vector3d target_ = direction_;
+  mutable std::mutex mutex_;  // Guards moves_.
+  // All of them: a camera that a busy machine keeps waiting still sees the lamp where it was.
+  std::vector<Move> moves_;
   std::unique_ptr<FakeCamera> scene_, source_;
 };
 

@@ -1,12 +1,9 @@
 // Rows of the fault matrix that a whole recording meets: a slow disk, a clock set back.
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <chrono>
-#include <cmath>
 #include <filesystem>
 #include <functional>
-#include <vector>
 
 #include "capture/session/recorder.h"
 #include "pipeline/sketch/sketch_check.h"
@@ -46,20 +43,13 @@ void expectEveryFrameRight(const fs::path& folder, int recorded) {
   EXPECT_EQ(check->frames, recorded);
   const auto sketch = Sketch::open(folder).value();
   double before = -1e9;
-  std::vector<double> errors;
   for (const FrameRecord& frame : sketch.frames()) {
     const auto radiance = sketch.readFrame(frame.id).value();
     const double x = (radiance(3, 3, 0) * 255 - 90) / 60;
-    errors.push_back(std::abs(x - frame.light.direction.x()));
+    EXPECT_NEAR(x, frame.light.direction.x(), 0.03) << frame.id;  // as in recorder_test
     EXPECT_GT(frame.midExposureSeconds, before);
     before = frame.midExposureSeconds;
   }
-  // As in recorder_test, but of the median: the fake rig's hand jumps where a busy machine keeps
-  // one of its threads waiting. Pictures and lights that were mixed up would all be off.
-  ASSERT_FALSE(errors.empty());
-  std::nth_element(errors.begin(), errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2),
-                   errors.end());
-  EXPECT_LT(errors[errors.size() / 2], 0.03);
 }
 
 TEST(FaultSlowDisk, DelaysARecordingAndMixesNothingUp) {
