@@ -18,8 +18,8 @@
 #include <thread>
 #include <utility>
 
-#include "capture/device/clock_mapping.h"
 #include "capture/device/exposure_log.h"
+#include "capture/device/frame_clock.h"
 #include "capture/device/gvcp_probe.h"
 #include "capture/device/wire_format.h"
 
@@ -36,20 +36,8 @@ constexpr auto kHeartbeat = std::chrono::seconds(3);  // GigE Vision's default
 constexpr auto kWatchInterval = std::chrono::milliseconds(500);
 constexpr int kFirstComparisons = 16;
 constexpr int kComparisons = 4;
-// Without a latch the mapping leans on when frames start to arrive. What lies between the end of an
-// exposure and that differs by camera; this is what we admit to.
-constexpr auto kUnlatchedSigma = std::chrono::milliseconds(2);
-constexpr auto kUnlatchedWindow = std::chrono::seconds(1);
-// Frames without any time of their own come as late as the link and a busy machine make them:
-// enough for a lamp that is held still, and a recording refuses the others.
-constexpr auto kUnstampedSigma = std::chrono::milliseconds(100);
-// From a frame's mapped time to its first packet it takes nearly always the same time. What differs
-// by more than this has a wrong time, or comes from a computer too busy to tell.
-constexpr auto kDelayTolerance = std::chrono::milliseconds(200);
-constexpr std::size_t kDelays = 15;
-constexpr auto kClockDoubt = std::chrono::seconds(2);  // then the latch is no longer believed
-constexpr std::size_t kRepairMemory = 16;              // frames
-constexpr auto kSilence = std::chrono::seconds(6);     // beyond what exposing takes
+constexpr std::size_t kRepairMemory = 16;           // frames
+constexpr auto kSilence = std::chrono::seconds(6);  // beyond what exposing takes
 constexpr int kSettlingFrames = 1;  // a change takes effect after one frame (measured)
 
 // GigE Vision bootstrap registers.
@@ -145,9 +133,8 @@ struct Link {
   Announced announced;
   StreamStatistics statistics;
   std::vector<std::string> notes;
-  ClockMapping clock;
+  FrameClock clock;
   ExposureLog exposures{kSettlingFrames};
-  bool latched = false;      // the clock is mapped by latching it; otherwise by arrivals
   bool warmedUp = false;     // the first frame of a session is often incomplete: it is dropped
   std::uint64_t lastId = 0;  // unwrapped; 0: none yet
   std::uint64_t damagedSinceLast = 0;
@@ -160,14 +147,6 @@ struct Link {
   std::deque<Begun> begun;
   std::deque<PacketCounts> packetCounts;  // when each of the latest frames began
   TimePoint lastArrival;
-  std::optional<Duration> leastDelay;  // unlatched: of this window
-  std::int64_t windowBegin = 0;
-  std::optional<std::int64_t> lastStamp;
-  std::deque<Duration> delays;  // from the mapped end of exposure to the first packet
-  std::optional<TimePoint> doubtSince;
-  std::optional<TimePoint> lateSince;  // unlatched
-  TimePoint lastFirstPacket;
-  std::deque<Duration> intervals;      // unlatched and without times: between frames
   std::uint64_t duplicated = 0;        // packets so far, as Aravis counts them
   std::deque<std::uint64_t> repaired;  // the same of packets sent again, after each of some frames
 
@@ -177,11 +156,6 @@ struct Link {
                                  TimePoint arrival);
   void beginFrame(ArvStream* stream);
   bool acceptId(std::uint64_t id);
-  std::optional<ClockMapping::Mapped> mapTime(std::int64_t deviceTimeNs, TimePoint firstPacket,
-                                              TimePoint arrival, double exposureSeconds);
-  std::optional<ClockMapping::Mapped> mapByArrival(std::int64_t deviceTimeNs, TimePoint firstPacket,
-                                                   double exposureSeconds);
-  void compared(std::int64_t deviceTimeNs, TimePoint host, Duration sigma);
   void end(std::string_view why);
 };
 
@@ -189,22 +163,13 @@ void Link::begin(const Announced& stream, const ExposureSetting& exposure) {
   const std::lock_guard lock(mutex);
   announced = stream;
   statistics = {};
-  clock = {};
+  clock.reset();
   exposures.reset(exposure);
-  latched = true;  // until it fails
   warmedUp = false;
   lastId = damagedSinceLast = 0;
   begun.clear();
   packetCounts.clear();
   lastArrival = Clock::now();
-  leastDelay.reset();
-  windowBegin = 0;
-  lastStamp.reset();
-  delays.clear();
-  doubtSince.reset();
-  lateSince.reset();
-  lastFirstPacket = {};
-  intervals.clear();
 }
 
 // Unwraps a whole frame's id, counts what is missing before it. False for what has been here
@@ -253,90 +218,6 @@ bool packetsInDoubt(ArvStream* stream, const Link::Begun& begun) {
   const std::uint64_t answers = now.resent - before.resent;
   return answers > 0 &&
          answers + now.duplicated - before.duplicated > now.requested - before.requested;
-}
-
-// The clock was latched: it showed `deviceTimeNs` at `host`. Caller holds the mutex.
-void Link::compared(std::int64_t deviceTimeNs, TimePoint host, Duration sigma) {
-  if (!latched) return;
-  const auto expected = clock.map(deviceTimeNs);
-  const Duration error = expected ? host - expected->host : Duration(0);
-  if (std::chrono::abs(error) > 5 * (sigma + kUnlatchedSigma)) clock = {};  // it has been set
-  clock.add(deviceTimeNs, host, sigma);
-}
-
-Duration medianOf(const std::deque<Duration>& values) {
-  std::vector<Duration> sorted(values.begin(), values.end());
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  return *middle;
-}
-
-// The lower envelope of arrival over the device's time: the frame with the least delay in each
-// window says when its exposure began, give or take the camera's overhead. Caller holds the mutex.
-std::optional<ClockMapping::Mapped> Link::mapByArrival(std::int64_t deviceTimeNs,
-                                                       TimePoint firstPacket,
-                                                       double exposureSeconds) {
-  const TimePoint start = firstPacket - fromSeconds(exposureSeconds);
-  const Duration interval = firstPacket - std::exchange(lastFirstPacket, firstPacket);
-  if (lastStamp == deviceTimeNs) {
-    // No time of its own: only as long as frames come as regularly as they were taken.
-    intervals.push_back(interval);
-    if (intervals.size() > kDelays) intervals.pop_front();
-    const Duration usual = medianOf(intervals);
-    if (intervals.size() < kDelays || std::chrono::abs(interval - usual) > usual / 4) return {};
-    return ClockMapping::Mapped{start, kUnstampedSigma};
-  }
-  const auto expected = clock.map(deviceTimeNs);
-  // Nothing arrives before its time: what the mapping was made from was late, or the clock was set.
-  bool anew = expected && start + 2 * kUnlatchedSigma < expected->host;
-  if (expected && start > expected->host + kDelayTolerance) {  // late, or the clock was set
-    if (!lateSince) lateSince = firstPacket;
-    if (firstPacket - *lateSince < kClockDoubt) return {};
-    anew = true;
-  }
-  lateSince.reset();
-  if (anew) {
-    clock = {};
-    leastDelay.reset();
-  }
-  const Duration delay = start.time_since_epoch() - Duration(deviceTimeNs);
-  const bool first = !expected || anew;
-  leastDelay = std::min(leastDelay.value_or(delay), delay);
-  if (first || Duration(deviceTimeNs - windowBegin) > kUnlatchedWindow) {
-    clock.add(deviceTimeNs, TimePoint(*leastDelay + Duration(deviceTimeNs)), kUnlatchedSigma);
-    leastDelay.reset();
-    windowBegin = deviceTimeNs;
-  }
-  return clock.map(deviceTimeNs);
-}
-
-// When its exposure began; nothing where that cannot be right. Caller holds the mutex.
-std::optional<ClockMapping::Mapped> Link::mapTime(std::int64_t deviceTimeNs, TimePoint firstPacket,
-                                                  TimePoint arrival, double exposureSeconds) {
-  const Duration exposure = fromSeconds(exposureSeconds);
-  std::optional<ClockMapping::Mapped> mapped;
-  if (latched) {
-    mapped = clock.map(deviceTimeNs);
-    const Duration delay = firstPacket - mapped->host - exposure;
-    const Duration usual = delays.empty() ? delay : medianOf(delays);
-    const bool early = arrival < mapped->host + exposure - 5 * mapped->sigma - kUnlatchedSigma;
-    const bool late = arrival - mapped->host - exposure > kClockDoubt;
-    if (early || late || std::chrono::abs(delay - usual) > kDelayTolerance) {
-      if (!doubtSince) doubtSince = arrival;
-      mapped.reset();
-      if (arrival - *doubtSince > kClockDoubt) {
-        latched = false;
-        clock = {};
-      }
-    } else {
-      doubtSince.reset();
-      delays.push_back(delay);
-      if (delays.size() > kDelays) delays.pop_front();
-    }
-  }
-  if (!latched) mapped = mapByArrival(deviceTimeNs, firstPacket, exposureSeconds);
-  lastStamp = deviceTimeNs;
-  return mapped;
 }
 
 // Walks the chunks from the last to the picture, which is the first (GigE Vision 2.0, section 27:
@@ -431,8 +312,8 @@ std::optional<Frame> Link::makeFrame(ArvStream* stream, ArvChunkParser* parser, 
   }
 
   const auto deviceTimeNs = static_cast<std::int64_t>(arv_buffer_get_timestamp(buffer));
-  const auto start = mapTime(deviceTimeNs, frameBegun.firstPacket, arrival,
-                             chunks->seconds.value_or(exposures.current().seconds));
+  const auto start = clock.map(deviceTimeNs, frameBegun.firstPacket, arrival,
+                               chunks->seconds.value_or(exposures.current().seconds));
   if (!start) {
     ++statistics.implausible;
     return {};
@@ -564,7 +445,7 @@ bool compareByLatch(ArvDevice* device, Link& link, const ClockLatch& latch, int 
   // The latch fell anywhere within the round trip: a uniform distribution's sigma.
   const Duration sigma = fromSeconds(toSeconds(*shortest) / (2 * std::numbers::sqrt3));
   const std::lock_guard lock(link.mutex);
-  link.compared(ns, host, sigma);
+  link.clock.compared(ns, host, sigma);
   return true;
 }
 
@@ -572,7 +453,7 @@ bool compareByLatch(ArvDevice* device, Link& link, const ClockLatch& latch, int 
 // for GigE. A camera that is silent for as long as its heartbeat allows has dropped us anyway; one
 // that answers and sends nothing has to be started again.
 void watch(std::stop_token stop, ArvDevice* device, Link& link, const std::string& target,
-           const ClockLatch& latch) {
+           const std::optional<ClockLatch>& latch) {
   std::mutex mutex;
   std::condition_variable_any wake;
   std::unique_lock lock(mutex);
@@ -580,10 +461,9 @@ void watch(std::stop_token stop, ArvDevice* device, Link& link, const std::strin
     if (isIpv4Address(target) && probeCameras({&target, 1}, kHeartbeat).empty()) {
       return link.end(kGone);
     }
-    bool latched, silent;
+    bool silent;
     {
       const std::lock_guard linkLock(link.mutex);
-      latched = link.latched;
       silent = !link.announced.triggered &&
                Clock::now() - link.lastArrival >
                    kSilence + 2 * fromSeconds(link.exposures.current().seconds);
@@ -591,8 +471,8 @@ void watch(std::stop_token stop, ArvDevice* device, Link& link, const std::strin
     if (silent) return link.end("the camera answers, but sends no frames any more");
     // The feature tree is not ours alone; there is another time.
     std::unique_lock control(link.control, std::defer_lock);
-    if (latched && (latch.ticksPerSecond > 0 || control.try_lock())) {
-      compareByLatch(device, link, latch, kComparisons);
+    if (latch && (latch->ticksPerSecond > 0 || control.try_lock())) {
+      compareByLatch(device, link, *latch, kComparisons);
     }
   }
 }
@@ -951,15 +831,14 @@ Result<void> AravisCamera::start(FrameCallback onFrame, EndCallback onEnd) {
 
   // A first mapping of the clocks, before frames load the link.
   const bool gige = arv_camera_is_gv_device(camera_.get()) != FALSE;
-  ClockLatch latch;
+  std::optional<ClockLatch> latch{std::in_place};
   if (gige) {
-    latch.ticksPerSecond =
+    latch->ticksPerSecond =
         arv_gv_device_get_timestamp_tick_frequency(ARV_GV_DEVICE(device()), error.out());
   }
-  if ((gige && latch.ticksPerSecond == 0) ||
-      !compareByLatch(device(), *link_, latch, kFirstComparisons)) {
-    const std::lock_guard linkLock(link_->mutex);
-    link_->latched = false;
+  if ((gige && latch->ticksPerSecond == 0) ||
+      !compareByLatch(device(), *link_, *latch, kFirstComparisons)) {
+    latch.reset();
   }
 
   // The packet socket has a race that lets foreign packets in; the default buffer loses packets.
@@ -1060,10 +939,10 @@ std::vector<std::string> AravisCamera::notes() const {
         info_.address, socketBuffer_ / 1024, kSocketBufferBytes / 1024, kSocketBufferBytes));
   }
   const std::lock_guard lock(link_->mutex);
-  if (link_->doubtSince && !link_->latched) {
+  if (link_->clock.latchDisbelieved()) {
     notes.push_back(info_.address +
                     ": the times of its frames are not of the clock that it shows; frames are "
-                    "timed by their arrival, good for some 2 ms");
+                    "timed by their arrival, which is less certain");
   }
   return notes;
 }

@@ -221,10 +221,17 @@ bool line(const char* what, const std::string& figure, const char* bar = "", boo
 int main(int argc, char** argv) {
   double minutes = 30;
   unsigned seed = 1;
-  for (int i = 1; i + 1 < argc; i += 2) {
+  for (int i = 1; i < argc; i += 2) {
     const std::string_view option = argv[i];
-    if (option == "--minutes") minutes = std::atof(argv[i + 1]);
-    if (option == "--seed") seed = static_cast<unsigned>(std::atoi(argv[i + 1]));
+    const double value = i + 1 < argc ? std::atof(argv[i + 1]) : 0;
+    if (option == "--minutes" && value > 0) {
+      minutes = value;
+    } else if (option == "--seed" && value > 0) {
+      seed = static_cast<unsigned>(value);
+    } else {
+      fmt::print(stderr, "usage: bench_soak [--minutes M] [--seed S]\n");
+      return 2;
+    }
   }
   const fs::path folder = fs::temp_directory_path() / fmt::format("bench-soak-{}", ::getpid());
   fs::create_directories(folder);
@@ -388,7 +395,7 @@ int main(int argc, char** argv) {
   good &= line("frames that are not what was sent", fmt::format("{}", totals.wrong), "bar: 0",
                totals.wrong == 0 && totals.recorded > 0);
   line("largest error of a frame's time", fmt::format("{:.2f} ms", 1e3 * totals.worstTimeError),
-       "50 would count as wrong");
+       "wrong beyond 5 ms and 3 sigma of what the frame admits");
   good &= line("memory, from the first third to the last",
                fmt::format("{:.1f} -> {:.1f} MB", memory.first, memory.second),
                fmt::format("{:+.1f} %, bar: 5", 100 * (memory.second / memory.first - 1)).c_str(),
