@@ -5,7 +5,6 @@
 #include <algorithm>
 #include <atomic>
 #include <cmath>
-#include <numbers>
 #include <opencv2/calib3d.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
@@ -19,8 +18,6 @@ namespace lightsketch {
 namespace {
 
 using Eigen::Vector2d;
-
-constexpr double kPi = std::numbers::pi;
 
 // Any picture as grey, 0..1: the 0.5 and 99.5 percentiles become 0 and 1, so that one set of
 // thresholds does for every exposure.

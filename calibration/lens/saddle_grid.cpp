@@ -167,8 +167,8 @@ std::vector<Saddle> SaddleFinder::findAll() const {
   std::vector<Saddle> saddles;
   for (const auto& [strength, peak] : peaks) {
     // Where the gradient of the local quadric vanishes.
-    const auto value = [&](int dx, int dy) {
-      return static_cast<double>(wide.at<float>(peak.y + dy, peak.x + dx));
+    const auto value = [&, x = peak.x, y = peak.y](int dx, int dy) {
+      return static_cast<double>(wide.at<float>(y + dy, x + dx));
     };
     const double xx = value(-1, 0) - 2 * value(0, 0) + value(1, 0);
     const double yy = value(0, -1) - 2 * value(0, 0) + value(0, 1);

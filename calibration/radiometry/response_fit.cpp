@@ -323,10 +323,10 @@ class Solver {
     const MatrixXd covariance = normal_.ldlt().solve(MatrixXd::Identity(parameters_, parameters_));
     std::vector<std::pair<double, double>> reached(index(samples_.colours), {1.0, 0.0});
     for (std::size_t p = 0; p < rate_.size(); ++p) {
-      auto& [low, high] = reached[index(samples_.places[p].colour)];
+      auto& range = reached[index(samples_.places[p].colour)];
       forEachSample(p, [&](int, const Colour::Place& at, double, double, double) {
-        low = std::min(low, at.value);
-        high = std::max(high, at.value);
+        range.first = std::min(range.first, at.value);
+        range.second = std::max(range.second, at.value);
       });
     }
     for (int c = 0; c < samples_.colours; ++c) {

@@ -138,6 +138,7 @@ Angle worstSigma(const Eigen::Matrix3d& covariance) {
 
 // Stops the camera on every way out.
 struct Streaming {
+  explicit Streaming(Camera* streaming) : camera(streaming) {}
   Camera* camera;
   ~Streaming() { camera->stop(); }
 };

@@ -538,7 +538,8 @@ Result<void> readAndVerify(int fd, const Head& head, const std::filesystem::path
         other.resize(until - at);
         to = other.data();
       }
-      if (const int failed = readAll(fd, to, until - at, at)) error = failed;
+      if (const int failed = readAll(fd, to, until - at, static_cast<std::int64_t>(at)))
+        error = failed;
       XXH3_64bits_update(state.get(), to, until - at);
       at = until;
     }
@@ -911,7 +912,7 @@ Result<void> verifyVersion1(int fd, const Head& head, const std::filesystem::pat
   Bytes buffer(std::size_t{1} << 20);
   for (std::uint64_t at = kUserBlock; at < head.fileBytes;) {
     const std::uint64_t count = std::min<std::uint64_t>(buffer.size(), head.fileBytes - at);
-    if (const int error = readAll(fd, buffer.data(), count, at)) {
+    if (const int error = readAll(fd, buffer.data(), count, static_cast<std::int64_t>(at))) {
       return failure(ErrorCode::kIo, "{}: cannot read: {}", path.string(), systemMessage(error));
     }
     XXH3_64bits_update(state.get(), buffer.data(), count);

@@ -37,9 +37,9 @@ Result<ScratchStack> ScratchStack::create(const LightStack& stack, const BlockLa
   const int cores = oneapi::tbb::this_task_arena::max_concurrency();
   const std::size_t perImage =
       static_cast<std::size_t>(layout.blocks()) * scratch.blockValues() * sizeof(std::uint16_t);
-  const int atOnce = static_cast<int>(
-      std::clamp<std::size_t>(memoryBytes / (perImage * static_cast<std::size_t>(cores)), 1,
-                              std::clamp(stack.size() / (4 * cores), 1, kImagesAtOnce)));
+  const int atOnce = static_cast<int>(std::clamp<std::size_t>(
+      memoryBytes / (perImage * static_cast<std::size_t>(cores)), 1,
+      static_cast<std::size_t>(std::clamp(stack.size() / (4 * cores), 1, kImagesAtOnce))));
   std::mutex mutex;  // guards the first failure
   std::optional<Error> error;
   std::atomic<bool> failed = false;

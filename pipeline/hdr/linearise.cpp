@@ -20,7 +20,7 @@ std::size_t countSaturated(const Frame& frame, int maximum) {
   if (info.channels == 3) {
     for (std::size_t i = 0; i < pixels; ++i) {
       const std::uint8_t* rgb = in + 3 * i;
-      count += (rgb[0] >= maximum) | (rgb[1] >= maximum) | (rgb[2] >= maximum) ? 1 : 0;
+      count += ((rgb[0] >= maximum) | (rgb[1] >= maximum) | (rgb[2] >= maximum)) ? 1 : 0;
     }
   } else if (info.bits <= 8) {
     for (std::size_t i = 0; i < pixels; ++i) count += in[i] >= maximum ? 1 : 0;

@@ -14,13 +14,7 @@
 namespace lightsketch {
 
 // Milliseconds that something may take, on a busy machine. Sanitizers are slow.
-constexpr int patience(int milliseconds) {
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-  return 6 * milliseconds;
-#else
-  return milliseconds;
-#endif
-}
+constexpr int patience(int milliseconds) { return LIGHTSKETCH_PATIENCE * milliseconds; }
 
 class AppTest {
  public:

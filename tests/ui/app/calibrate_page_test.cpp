@@ -1,3 +1,4 @@
+#include <QCheckBox>
 #include <QComboBox>
 #include <QDoubleSpinBox>
 #include <QLabel>
@@ -214,6 +215,52 @@ class CalibratePageTest : public QObject {
     QTRY_COMPARE_WITH_TIMEOUT(link.state(), RigLink::State::kLive, kLong);
     QCOMPARE(steps->currentWidget()->findChild<QLabel*>("words")->text(), "Cancelled");
     QCOMPARE((*rig)->programAt(toSeconds(Clock::now() - (*rig)->startTime())), RigProgram::kLamp);
+  }
+
+  void aBoardBeforeBothCamerasBecomesPoses() {
+    const auto rig = SimulatedRig::start(options());
+    QVERIFY2(rig.has_value(), rig ? "" : rig.error().message.c_str());
+    QTemporaryDir folder;
+    RigSetup setup = setupFor(options());
+    setup.rigGeometry = toPath(folder.filePath("rig.json"));
+    const RigGeometry truth = (*rig)->geometry();
+    QVERIFY(saveRigGeometry(truth, setup.rigGeometry).has_value());
+    AppTest app(setup);
+    openPage(app);
+    auto* steps = app.find<QTabWidget>("steps");
+    steps->setCurrentIndex(1);
+    RigLink& link = app.workspace().rig();
+    QTRY_COMPARE_WITH_TIMEOUT(link.state(), RigLink::State::kLive, kLong);
+    // The hand first shows the board to the source camera, then 12 times to the scene camera, then
+    // to both: as many views need five of both at least.
+    app.find<QSpinBox>("posesViews")->setValue(17);
+    app.find<QCheckBox>("keepFrame")->setChecked(true);  // else a round of the hand is waited for
+    QTest::mouseClick(app.find<QPushButton>("calibratePoses"), Qt::LeftButton);
+    auto* detail = steps->currentWidget()->findChild<QLabel*>("detail");
+    QTRY_VERIFY_WITH_TIMEOUT(detail->text().contains("Source camera: 4 of 17 views"), kLong);
+    app.screenshot("calibrate-poses-live");
+    auto* use = app.find<QPushButton>("usePoses");
+    QTRY_VERIFY_WITH_TIMEOUT(use->isVisible(), 2 * kLong);
+    app.screenshot("calibrate-poses-result");
+    QVERIFY(app.find<QLabel>("posesFigures")->text().contains("moments seen by both"));
+    QTest::mouseClick(use, Qt::LeftButton);
+    for (const auto& file : {link.setup().sourceModel, link.setup().sceneModel}) {
+      const auto model = loadCameraModel(file);
+      QVERIFY2(model.has_value(), model ? "" : model.error().message.c_str());
+    }
+    const auto found = loadRigGeometry(link.setup().rigGeometry);
+    QVERIFY2(found.has_value(), found ? "" : found.error().message.c_str());
+    const Eigen::Isometry3d& is = found->sourceCameras.front().sceneFromCamera;
+    const Eigen::Isometry3d& should = truth.sourceCameras.front().sceneFromCamera;
+    const double turned = Eigen::AngleAxisd(should.linear().transpose() * is.linear()).angle();
+    const double moved = (is.translation() - should.translation()).norm();
+    qInfo("the source camera's pose is off by %.3f degrees and %.1f mm",
+          turned * 180 / std::numbers::pi, 1e3 * moved);
+    // So few views say less than the forty that people are asked for.
+    QVERIFY(turned < 0.5 * std::numbers::pi / 180);
+    QVERIFY(moved < 0.01);
+    app.workspace().undo().undo();
+    QCOMPARE(link.setup().rigGeometry, setup.rigGeometry);
   }
 
   void aBracketBecomesAResponse() {

@@ -1,0 +1,43 @@
+// For the thread sanitizer, which cannot look into Qt: what is posted to a thread with
+// QMetaObject::invokeMethod happens before every event that is delivered after it. The linker sends
+// calls of invokeMethod here first (CMakeLists.txt).
+#include <QCoreApplication>
+#include <QMetaObject>
+#include <QObject>
+
+extern "C" {
+void __tsan_acquire(void* address);
+void __tsan_release(void* address);
+bool __real__ZN11QMetaObject16invokeMethodImplEP7QObjectPN9QtPrivate15QSlotObjectBaseEN2Qt14ConnectionTypeEPv(
+    QObject* object, QtPrivate::QSlotObjectBase* slot, Qt::ConnectionType type, void* result);
+bool __wrap__ZN11QMetaObject16invokeMethodImplEP7QObjectPN9QtPrivate15QSlotObjectBaseEN2Qt14ConnectionTypeEPv(
+    QObject* object, QtPrivate::QSlotObjectBase* slot, Qt::ConnectionType type, void* result);
+}
+
+namespace {
+
+int posts;
+
+class EventOrder final : public QObject {
+ public:
+  using QObject::QObject;
+  bool eventFilter(QObject*, QEvent*) override {
+    __tsan_acquire(&posts);
+    return false;
+  }
+};
+
+void install() {
+  QCoreApplication::instance()->installEventFilter(new EventOrder(QCoreApplication::instance()));
+}
+
+}  // namespace
+
+Q_COREAPP_STARTUP_FUNCTION(install)
+
+bool __wrap__ZN11QMetaObject16invokeMethodImplEP7QObjectPN9QtPrivate15QSlotObjectBaseEN2Qt14ConnectionTypeEPv(
+    QObject* object, QtPrivate::QSlotObjectBase* slot, Qt::ConnectionType type, void* result) {
+  __tsan_release(&posts);
+  return __real__ZN11QMetaObject16invokeMethodImplEP7QObjectPN9QtPrivate15QSlotObjectBaseEN2Qt14ConnectionTypeEPv(
+      object, slot, type, result);
+}
