@@ -6,6 +6,7 @@
 //   bench_soak [--minutes M] [--seed S]
 #include <dirent.h>
 #include <fmt/format.h>
+#include <malloc.h>
 #include <poll.h>
 #include <signal.h>
 #include <sys/wait.h>
@@ -45,6 +46,33 @@ constexpr double kFramesPerSecond = 8;  // slower ones do not pair
 constexpr double kSessionSeconds = 120;
 constexpr double kTimeTolerance = 0.005;  // beside three times the uncertainty that a frame admits
 
+// --- What a process holds ------------------------------------------------------------------------
+
+struct Load {
+  double seconds = 0;
+  double megabytes = 0;
+  int handles = 0;
+  int threads = 0;
+};
+
+int entries(const std::string& folder) {
+  int count = 0;
+  if (DIR* const directory = ::opendir(folder.c_str())) {
+    while (::readdir(directory) != nullptr) ++count;
+    ::closedir(directory);
+  }
+  return count - 2;
+}
+
+Load loadOf(pid_t process, double seconds) {
+  const std::string proc = fmt::format("/proc/{}", process);
+  std::ifstream statm(proc + "/statm");
+  double pages = 0, resident = 0;
+  statm >> pages >> resident;
+  return {seconds, resident * static_cast<double>(::sysconf(_SC_PAGESIZE)) / 1e6,
+          entries(proc + "/fd"), entries(proc + "/task")};
+}
+
 // --- The recording process -----------------------------------------------------------------------
 
 // One sketch after the other, until it is told to stop. Says on `out` what it has acknowledged.
@@ -78,10 +106,14 @@ constexpr double kTimeTolerance = 0.005;  // beside three times the uncertainty 
       const Json& f = result->figures;
       int refused = 0;
       for (const auto& refusal : f["refusals"].items()) refused += refusal.value().get<int>();
-      say(fmt::format("done {} {:.9f} {} {} {} {} {}\n", session,
+      // With the cameras closed and free memory given back the same is held after every sketch.
+      ::malloc_trim(0);
+      const Load rest = loadOf(::getpid(), 0);
+      say(fmt::format("done {} {:.9f} {} {} {} {} {} {} {} {}\n", session,
                       f["timeZeroSeconds"].get<double>(), f["recorded"].get<int>(),
                       f["offered"].get<int>(), refused, f["scene"]["lost"].get<int>(),
-                      f["scene"]["incomplete"].get<int>() + f["scene"]["implausible"].get<int>()));
+                      f["scene"]["incomplete"].get<int>() + f["scene"]["implausible"].get<int>(),
+                      rest.megabytes, rest.handles, rest.threads));
     } else {  // the cameras were away when it began
       say(fmt::format("failed {} {}\n", session, result.error().message));
       std::this_thread::sleep_for(1s);
@@ -91,31 +123,6 @@ constexpr double kTimeTolerance = 0.005;  // beside three times the uncertainty 
 }
 
 // --- What is known of it -------------------------------------------------------------------------
-
-struct Load {
-  double seconds = 0;
-  double megabytes = 0;
-  int handles = 0;
-  int threads = 0;
-};
-
-int entries(const std::string& folder) {
-  int count = 0;
-  if (DIR* const directory = ::opendir(folder.c_str())) {
-    while (::readdir(directory) != nullptr) ++count;
-    ::closedir(directory);
-  }
-  return count - 2;
-}
-
-Load loadOf(pid_t process, double seconds) {
-  const std::string proc = fmt::format("/proc/{}", process);
-  std::ifstream statm(proc + "/statm");
-  double pages = 0, resident = 0;
-  statm >> pages >> resident;
-  return {seconds, resident * static_cast<double>(::sysconf(_SC_PAGESIZE)) / 1e6,
-          entries(proc + "/fd"), entries(proc + "/task")};
-}
 
 struct Totals {
   int sessions = 0, failedStarts = 0;
@@ -262,7 +269,10 @@ int main(int argc, char** argv) {
   if (::write(begin[1], "g", 1) != 1) return 1;
   const double rigZero = toSeconds((*rig)->startTime().time_since_epoch());
 
+  const TimePoint start = Clock::now();
+  const auto since = [&] { return toSeconds(Clock::now() - start); };
   Totals totals;
+  std::vector<Load> rests;  // after every sketch
   std::map<int, int> acknowledged;
   std::string pending;
   const auto listen = [&](int milliseconds) {
@@ -284,6 +294,9 @@ int main(int argc, char** argv) {
       double timeZero = 0;
       long recorded = 0, offered = 0, refused = 0, lost = 0, damaged = 0;
       said >> timeZero >> recorded >> offered >> refused >> lost >> damaged;
+      Load rest{since()};
+      said >> rest.megabytes >> rest.handles >> rest.threads;
+      rests.push_back(rest);
       ++totals.sessions;
       totals.recorded += recorded;
       totals.offered += offered;
@@ -303,27 +316,21 @@ int main(int argc, char** argv) {
   };
   const std::vector<Trouble> kinds = troubles();
   std::map<std::string, int> happened;
-  std::vector<Load> loads;
-  const TimePoint start = Clock::now();
-  const auto since = [&] { return toSeconds(Clock::now() - start); };
-  double nextLoad = 5;
+  double nextLoad = 60;
   bool alive = true;
   const auto pass = [&](double seconds) {
     const double until = since() + seconds;
     while (alive && since() < until) {
       alive = listen(50) && ::waitpid(recorder, nullptr, WNOHANG) == 0;
       if (since() < nextLoad) continue;
-      loads.push_back(loadOf(recorder, since()));
-      nextLoad += 5;
-      if (loads.size() % 12 == 0) {
-        const Load& load = loads.back();
-        fmt::print(
-            "{:5.1f} min: {:.1f} MB, {} handles, {} threads; {} recorded in {} sketches, {} "
-            "missing, {} wrong\n",
-            since() / 60, load.megabytes, load.handles, load.threads, totals.recorded,
-            totals.sessions, totals.missing, totals.wrong);
-        std::fflush(stdout);
-      }
+      const Load load = loadOf(recorder, since());
+      nextLoad += 60;
+      fmt::print(
+          "{:5.1f} min: {:.1f} MB, {} handles, {} threads; {} recorded in {} sketches, {} "
+          "missing, {} wrong\n",
+          since() / 60, load.megabytes, load.handles, load.threads, totals.recorded,
+          totals.sessions, totals.missing, totals.wrong);
+      std::fflush(stdout);
     }
   };
   while (alive && since() < 60 * minutes) {
@@ -364,7 +371,7 @@ int main(int argc, char** argv) {
   const double warm = 10 * minutes;
   const auto typical = [&](double from, double to, auto member) {
     std::vector<double> values;
-    for (const Load& load : loads) {
+    for (const Load& load : rests) {
       if (load.seconds >= from && load.seconds < to) {
         values.push_back(static_cast<double>(load.*member));
       }
@@ -396,7 +403,7 @@ int main(int argc, char** argv) {
                totals.wrong == 0 && totals.recorded > 0);
   line("largest error of a frame's time", fmt::format("{:.2f} ms", 1e3 * totals.worstTimeError),
        "wrong beyond 5 ms and 3 sigma of what the frame admits");
-  good &= line("memory, from the first third to the last",
+  good &= line("memory between sketches, first third to last",
                fmt::format("{:.1f} -> {:.1f} MB", memory.first, memory.second),
                fmt::format("{:+.1f} %, bar: 5", 100 * (memory.second / memory.first - 1)).c_str(),
                memory.second <= 1.05 * memory.first);
