@@ -103,7 +103,8 @@ class RigPageTest : public QObject {
     QTRY_VERIFY_WITH_TIMEOUT(app.find<QLabel>("pairing")->text().contains(" ms apart"), kAnswer);
     // Both run free: nearest frames are at most half a period apart.
     const double apart = app.find<QLabel>("pairing")->text().split(' ').at(6).toDouble();
-    QVERIFY2(apart >= 0 && apart < patience(1000 / kRate / 2 + 10), qPrintable(QString::number(apart)));
+    QVERIFY2(apart >= 0 && apart < LIGHTSKETCH_PATIENCE * (1000 / kRate / 2 + 10),
+             qPrintable(QString::number(apart)));
     QVERIFY(in<QLabel>(app, "scenePanel", "answer")->text().contains("exposure 20 ms"));
     // 1280 pixels, less the list of pages.
     QVERIFY2(app.window().currentPage()->minimumSizeHint().width() <= 1164,
