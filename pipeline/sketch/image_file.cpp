@@ -19,6 +19,8 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <stdexcept>
+#include <string_view>
+#include <utility>
 #include <vector>
 
 #include "capture/frame/file.h"
@@ -279,8 +281,68 @@ Result<std::string> encodeExr(const RadianceImage& image, const ExrOptions& opti
 
 namespace {
 
+std::uint32_t littleEndian(std::string_view bytes, std::size_t at) {
+  std::uint32_t value = 0;
+  for (std::size_t i = 4; i-- > 0;) value = value << 8 | static_cast<std::uint8_t>(bytes[at + i]);
+  return value;
+}
+
+// Whether an attribute's value fills the bytes that it claims. OpenEXR reads what its type asks for
+// and goes on from there, so that after any other it takes pixels for attributes.
+bool fills(std::string_view type, std::string_view value) {
+  constexpr std::pair<std::string_view, std::size_t> kSizes[] = {{"box2i", 16},
+                                                                 {"box2f", 16},
+                                                                 {"chromaticities", 32},
+                                                                 {"compression", 1},
+                                                                 {"deepImageState", 1},
+                                                                 {"double", 8},
+                                                                 {"envmap", 1},
+                                                                 {"float", 4},
+                                                                 {"int", 4},
+                                                                 {"keycode", 28},
+                                                                 {"lineOrder", 1},
+                                                                 {"m33f", 36},
+                                                                 {"m33d", 72},
+                                                                 {"m44f", 64},
+                                                                 {"m44d", 128},
+                                                                 {"rational", 8},
+                                                                 {"tiledesc", 9},
+                                                                 {"timecode", 8},
+                                                                 {"v2i", 8},
+                                                                 {"v2f", 8},
+                                                                 {"v2d", 16},
+                                                                 {"v3i", 12},
+                                                                 {"v3f", 12},
+                                                                 {"v3d", 24}};
+  for (const auto& [name, size] : kSizes) {
+    if (type == name) return value.size() == size;
+  }
+  if (type == "floatvector") return value.size() % 4 == 0;
+  if (type == "preview") {
+    return value.size() >= 8 && (value.size() - 8) % 4 == 0 &&
+           std::uint64_t{littleEndian(value, 0)} * littleEndian(value, 4) == (value.size() - 8) / 4;
+  }
+  if (type == "stringvector") {
+    std::size_t at = 0;
+    while (value.size() - at >= 4 && littleEndian(value, at) <= value.size() - at - 4) {
+      at += 4 + littleEndian(value, at);
+    }
+    return at == value.size();
+  }
+  if (type == "chlist") {
+    constexpr std::size_t kChannel = 16;  // after its name
+    std::size_t at = 0;
+    for (std::size_t end; (end = value.find('\0', at)) != std::string_view::npos;) {
+      if (end == at) return end + 1 == value.size();
+      at = end + 1 + kChannel;
+    }
+    return false;
+  }
+  return true;  // "string" and what OpenEXR does not know are as long as they say
+}
+
 // OpenEXR allocates what an attribute of the header claims to hold before it reads it: throws where
-// one claims more than the file has left.
+// one claims more than the file has left, or other than its type has.
 void checkHeader(std::string_view bytes) {
   constexpr std::size_t kVersionEnd = 8;
   const bool severalParts = bytes.size() > 5 && (bytes[5] & 0x10) != 0;
@@ -297,12 +359,16 @@ void checkHeader(std::string_view bytes) {
       at = afterName;
       continue;
     }
-    const std::size_t value = skipName(afterName) + 4;
+    const std::size_t afterType = skipName(afterName);
+    const std::size_t value = afterType + 4;
     if (value > bytes.size()) throw tooShort;
-    std::uint32_t claimed = 0;
-    for (std::size_t i = 1; i <= 4; ++i)
-      claimed = claimed << 8 | static_cast<std::uint8_t>(bytes[value - i]);
+    const std::uint32_t claimed = littleEndian(bytes, afterType);
     if (claimed > bytes.size() - value) throw tooShort;
+    const std::string_view type = bytes.substr(afterName, afterType - 1 - afterName);
+    if (!fills(type, bytes.substr(value, claimed))) {
+      throw std::runtime_error(
+          fmt::format("an attribute of the header is not of the size of a {}", type));
+    }
     at = value + claimed;
   }
 }
