@@ -1,7 +1,6 @@
 #include "capture/device/frame_clock.h"
 
 #include <algorithm>
-#include <cmath>
 #include <utility>
 #include <vector>
 
@@ -60,22 +59,23 @@ std::optional<ClockMapping::Mapped> FrameClock::map(std::int64_t deviceTimeNs,
                                                     TimePoint firstPacket, TimePoint arrival,
                                                     double exposureSeconds) {
   const Duration exposure = fromSeconds(exposureSeconds);
-  const auto latched = byLatch(deviceTimeNs, firstPacket, arrival, exposure);
-  const bool believed = latch_.map(deviceTimeNs) && !disbelieved_;
-  const auto mapped = believed ? latched : byArrival(deviceTimeNs, firstPacket, exposure);
+  auto mapped = latch_.map(deviceTimeNs);
+  const bool agreed = mapped && agrees(*mapped, firstPacket, arrival, exposure);
+  if (!mapped || disbelieved_) {
+    mapped = byArrival(deviceTimeNs, firstPacket, exposure);
+  } else if (!agreed) {
+    mapped.reset();
+  }
   lastTime_ = deviceTimeNs;
   return mapped;
 }
 
-std::optional<ClockMapping::Mapped> FrameClock::byLatch(std::int64_t deviceTimeNs,
-                                                        TimePoint firstPacket, TimePoint arrival,
-                                                        Duration exposure) {
-  const auto mapped = latch_.map(deviceTimeNs);
-  if (!mapped) return {};
-  const Duration overhead = firstPacket - mapped->host - exposure;
+bool FrameClock::agrees(const ClockMapping::Mapped& latched, TimePoint firstPacket,
+                        TimePoint arrival, Duration exposure) {
+  const Duration overhead = firstPacket - latched.host - exposure;
   const Duration usual = overheads_.empty() ? overhead : medianOf(overheads_);
-  const bool early = arrival < mapped->host + exposure - 5 * mapped->sigma - kKnownOverhead;
-  const bool late = arrival - mapped->host - exposure > kDoubt;
+  const bool early = arrival < latched.host + exposure - 5 * latched.sigma - kKnownOverhead;
+  const bool late = arrival - latched.host - exposure > kDoubt;
   if (early || late || std::chrono::abs(overhead - usual) > kDelayTolerance) {
     agreeing_ = 0;
     if (!doubtSince_) doubtSince_ = arrival;
@@ -84,14 +84,15 @@ std::optional<ClockMapping::Mapped> FrameClock::byLatch(std::int64_t deviceTimeN
       arrivals_ = {};
       offsets_.clear();
     }
-    return {};
+    return false;
   }
   doubtSince_.reset();
-  if (disbelieved_ && ++agreeing_ < static_cast<int>(kFrames)) return {};
-  disbelieved_ = false;
-  agreeing_ = 0;
-  keep(overheads_, overhead);
-  return mapped;
+  if (!disbelieved_ || ++agreeing_ >= static_cast<int>(kFrames)) {
+    disbelieved_ = false;
+    agreeing_ = 0;
+    keep(overheads_, overhead);
+  }
+  return true;
 }
 
 // The lower envelope of arrival over the camera's time: the frame with the least delay says when

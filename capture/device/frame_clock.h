@@ -1,7 +1,6 @@
 // When a GenICam camera's frames were taken, by the host's clock.
 #pragma once
 
-#include <cstddef>
 #include <cstdint>
 #include <deque>
 #include <optional>
@@ -31,8 +30,9 @@ class FrameClock {
   bool latchDisbelieved() const { return disbelieved_; }
 
  private:
-  std::optional<ClockMapping::Mapped> byLatch(std::int64_t deviceTimeNs, TimePoint firstPacket,
-                                              TimePoint arrival, Duration exposure);
+  // Whether a frame arrives when the latch lets expect it; keeps account of the belief in it.
+  bool agrees(const ClockMapping::Mapped& latched, TimePoint firstPacket, TimePoint arrival,
+              Duration exposure);
   std::optional<ClockMapping::Mapped> byArrival(std::int64_t deviceTimeNs, TimePoint firstPacket,
                                                 Duration exposure);
 

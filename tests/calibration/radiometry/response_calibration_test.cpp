@@ -14,12 +14,12 @@ namespace {
 using Scene = SimulatedSensor::Scene;
 
 std::vector<Frame> bracket(const SimulatedSensor& sensor, const Scene& scene, int first, int last,
-                           int repeats = 1) {
+                           int repeats = 1, int seed = 100) {
   std::vector<Frame> frames;
   for (int i = last; i >= first; --i) {  // longest first: any order will do
     for (int r = 0; r < repeats; ++r) {
       frames.push_back(
-          sensor.expose(scene, std::pow(2.0, i), static_cast<unsigned>(100 + 10 * i + r)));
+          sensor.expose(scene, std::pow(2.0, i), static_cast<unsigned>(seed + 10 * i + r)));
     }
   }
   return frames;
@@ -162,18 +162,12 @@ TEST(ResponseCalibration, ALineThatEndsShortOfSaturationIsALineAndASlightBendIsN
       sensor.response = [bow](double light) { return light + bow * light * (1 - light); };
     int nonlinear = 0;
     double largest = 0;
-    for (unsigned seed = 0; seed < 3; ++seed) {
+    for (int which = 0; which < 3; ++which) {
       const Scene dim = [&](int x, int y, int) {
-        const double level = SimulatedSensor::fixedPattern(x / 4, y / 4, static_cast<int>(seed));
+        const double level = SimulatedSensor::fixedPattern(x / 4, y / 4, which);
         return 0.056 * std::pow(level, 10);
       };
-      std::vector<Frame> frames;
-      for (int i = -4; i <= 4; ++i) {
-        for (unsigned r = 0; r < 2; ++r) {
-          frames.push_back(sensor.expose(dim, std::pow(2.0, i),
-                                         1000 * seed + static_cast<unsigned>(100 + 10 * i) + r));
-        }
-      }
+      const auto frames = bracket(sensor, dim, -4, 4, 2, 1000 * which + 100);
       const auto result =
           calibrateResponse({.brackets = {frames}, .darkFrames = {}, .flatFrames = {}});
       ASSERT_TRUE(result) << result.error().message;
