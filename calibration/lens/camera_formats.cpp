@@ -123,7 +123,7 @@ Result<void> fit(const Equation& equation, std::vector<double>& parameters,
                         new ceres::SubsetManifold(static_cast<int>(parameters.size()), held));
   }
   ceres::Solver::Options options;
-  options.max_num_iterations = 200;
+  options.max_num_iterations = 60;  // lenses that fit take 40
   options.function_tolerance = 1e-14;
   options.parameter_tolerance = 1e-12;
   options.gradient_tolerance = 1e-16;
@@ -239,15 +239,11 @@ Result<LoadedCamera> toOurs(const ForeignLens& lens, const std::string& where) {
   CameraConversion conversion;
   conversion.refit = !lens.same;
   std::shared_ptr<const FisheyeModel> model;
-  // A polynomial may turn back at the rim: then less of the field is kept.
-  for (Angle field = wanted; !model; field = field - Angle::degrees(0.5)) {
-    if (field.degrees() < 1 || (wanted - field).degrees() > 30) {
-      return failure(ErrorCode::kUnsupported, "{}: {}: no fisheye of ours comes near this lens",
-                     where, lens.kind);
-    }
+  const auto attempt = [&](Angle field) -> Result<bool> {
+    FisheyeParameters tried;
     if (lens.same) {
-      parameters = *lens.same;
-      parameters.maxFieldAngle = field;
+      tried = *lens.same;
+      tried.maxFieldAngle = field;
     } else {
       auto fitted = fitFisheye(truth, lens.width, lens.height, field,
                                {FisheyeLayout::kPupil, FisheyeLayout::kPupil + 1});
@@ -255,9 +251,34 @@ Result<LoadedCamera> toOurs(const ForeignLens& lens, const std::string& where) {
         return failure(ErrorCode::kUnsupported, "{}: {}: {}", where, lens.kind,
                        fitted.error().message);
       }
-      parameters = *fitted;
+      tried = *fitted;
     }
-    if (auto made = FisheyeModel::create(parameters)) model = *made;
+    auto made = FisheyeModel::create(tried);
+    if (!made) return false;
+    model = *made;
+    parameters = tried;
+    return true;
+  };
+  // A polynomial may turn back at the rim: then less of the field is kept, as much as half a degree
+  // allows. Every attempt is a fit, so the loss is doubled until one succeeds, then halved.
+  constexpr double kFinest = 0.5;
+  double lost = 0;
+  double tooLittle = 0;
+  while (true) {
+    if (wanted.degrees() - lost < 1) break;
+    ASSIGN_OR_RETURN(const bool made, attempt(wanted - Angle::degrees(lost)));
+    if (made || lost >= 30) break;
+    tooLittle = lost;
+    lost = std::clamp(2 * lost, kFinest, 30.0);
+  }
+  if (!model) {
+    return failure(ErrorCode::kUnsupported, "{}: {}: no fisheye of ours comes near this lens",
+                   where, lens.kind);
+  }
+  while (lost - tooLittle > kFinest) {
+    const double between = (lost + tooLittle) / 2;
+    ASSIGN_OR_RETURN(const bool made, attempt(wanted - Angle::degrees(between)));
+    (made ? lost : tooLittle) = between;
   }
   LensUncertainty uncertainty;
   uncertainty.coveredField = coveredBy(lens.validRegion, *model);
