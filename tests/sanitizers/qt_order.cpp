@@ -1,11 +1,10 @@
 // For the thread sanitizer, which cannot look into Qt: what is posted to a thread with
-// QMetaObject::invokeMethod happens before every event that is delivered after it. The linker sends
-// calls of invokeMethod here first (CMakeLists.txt).
+// QMetaObject::invokeMethod happens before it is called there. The linker sends calls of
+// invokeMethod here first (CMakeLists.txt).
 #include <dlfcn.h>
 
 #include <cstdarg>
 
-#include <QCoreApplication>
 #include <QMetaObject>
 #include <QObject>
 
@@ -20,34 +19,39 @@ bool __wrap__ZN11QMetaObject16invokeMethodImplEP7QObjectPN9QtPrivate15QSlotObjec
 
 namespace {
 
-int posts;
-
-class EventOrder final : public QObject {
+// Posted in the place of a call.
+class OrderedSlot final : public QtPrivate::QSlotObjectBase {
  public:
-  using QObject::QObject;
-  bool eventFilter(QObject*, QEvent*) override {
-    __tsan_acquire(&posts);
-    return false;
+  explicit OrderedSlot(QSlotObjectBase* inner) : QSlotObjectBase(act), inner_(inner) {
+    __tsan_release(this);
   }
-};
 
-void install() {
-  QCoreApplication::instance()->installEventFilter(new EventOrder(QCoreApplication::instance()));
-}
+ private:
+  static void act(int which, QSlotObjectBase* self, QObject* receiver, void** arguments, bool*) {
+    auto* const own = static_cast<OrderedSlot*>(self);
+    __tsan_acquire(own);
+    if (which == Call) own->inner_->call(receiver, arguments);
+    if (which == Destroy) {
+      own->inner_->destroyIfLastRef();
+      delete own;
+    } else {
+      __tsan_release(own);  // whoever lets go of it last destroys it
+    }
+  }
+
+  QSlotObjectBase* inner_;
+};
 
 }  // namespace
 
-Q_COREAPP_STARTUP_FUNCTION(install)
-
 bool __wrap__ZN11QMetaObject16invokeMethodImplEP7QObjectPN9QtPrivate15QSlotObjectBaseEN2Qt14ConnectionTypeEPv(
     QObject* object, QtPrivate::QSlotObjectBase* slot, Qt::ConnectionType type, void* result) {
-  __tsan_release(&posts);
   return __real__ZN11QMetaObject16invokeMethodImplEP7QObjectPN9QtPrivate15QSlotObjectBaseEN2Qt14ConnectionTypeEPv(
-      object, slot, type, result);
+      object, new OrderedSlot(slot), type, result);
 }
 
-// QProcess starts programs as vfork does. The sanitizer's own clone takes such a child for one with its
-// memory to itself, after which the parent fails the sanitizer's checks.
+// QProcess starts programs as vfork does. The sanitizer's own clone takes such a child for one with
+// its memory to itself, after which the parent fails the sanitizer's checks.
 extern "C" int clone(int (*run)(void*), void* stack, int flags, void* argument, ...) {
   using Clone = int (*)(int (*)(void*), void*, int, void*, ...);
   static const auto real = reinterpret_cast<Clone>(dlsym(RTLD_NEXT, "clone"));

@@ -1,6 +1,6 @@
-// For the thread sanitizer, which cannot look into TBB's library: a task runs after what its spawner
-// did before, and what waits for tasks goes on after all that they did. The linker sends calls of
-// TBB's entry points here first (CMakeLists.txt).
+// For the thread sanitizer, which cannot look into TBB's library: a task runs after what its
+// spawner did before, and what waits for tasks goes on after all that they did. The linker sends
+// calls of TBB's entry points here first (CMakeLists.txt).
 #include <oneapi/tbb/detail/_small_object_pool.h>
 #include <oneapi/tbb/detail/_task.h>
 
@@ -56,7 +56,9 @@ void acquireTasks(wait_context& tasks) {
 #define SPAWN "_ZN3tbb6detail2r15spawnERNS0_2d14taskERNS2_18task_group_contextE"
 void realSpawn(task& spawned, task_group_context& group) REAL(SPAWN);
 void wrappedSpawn(task& spawned, task_group_context& group) WRAPPED(SPAWN);
-void wrappedSpawn(task& spawned, task_group_context& group) { realSpawn(*new OrderedTask(spawned), group); }
+void wrappedSpawn(task& spawned, task_group_context& group) {
+  realSpawn(*new OrderedTask(spawned), group);
+}
 
 #define SPAWN_AT "_ZN3tbb6detail2r15spawnERNS0_2d14taskERNS2_18task_group_contextEt"
 void realSpawnAt(task& spawned, task_group_context& group, std::uint16_t slot) REAL(SPAWN_AT);
@@ -65,10 +67,15 @@ void wrappedSpawnAt(task& spawned, task_group_context& group, std::uint16_t slot
   realSpawnAt(*new OrderedTask(spawned), group, slot);
 }
 
-#define RUN "_ZN3tbb6detail2r116execute_and_waitERNS0_2d14taskERNS2_18task_group_contextERNS2_12wait_contextES6_"
-void realRun(task& root, task_group_context& group, wait_context& tasks, task_group_context& waiter) REAL(RUN);
-void wrappedRun(task& root, task_group_context& group, wait_context& tasks, task_group_context& waiter) WRAPPED(RUN);
-void wrappedRun(task& root, task_group_context& group, wait_context& tasks, task_group_context& waiter) {
+#define RUN                                                                                  \
+  "_ZN3tbb6detail2r116execute_and_waitERNS0_2d14taskERNS2_18task_group_contextERNS2_12wait_" \
+  "contextES6_"
+void realRun(task& root, task_group_context& group, wait_context& tasks, task_group_context& waiter)
+    REAL(RUN);
+void wrappedRun(task& root, task_group_context& group, wait_context& tasks,
+                task_group_context& waiter) WRAPPED(RUN);
+void wrappedRun(task& root, task_group_context& group, wait_context& tasks,
+                task_group_context& waiter) {
   struct Acquire {
     wait_context& tasks;
     ~Acquire() { acquireTasks(tasks); }  // also where a task threw
@@ -86,16 +93,20 @@ void* wrappedAllocate(small_object_pool*& pool, std::size_t bytes) {
 }
 
 #define ALLOCATE_IN ALLOCATE "RKNS2_14execution_dataE"
-void* wrappedAllocateIn(small_object_pool*& pool, std::size_t bytes, const execution_data& data) WRAPPED(ALLOCATE_IN);
+void* wrappedAllocateIn(small_object_pool*& pool, std::size_t bytes, const execution_data& data)
+    WRAPPED(ALLOCATE_IN);
 void* wrappedAllocateIn(small_object_pool*& pool, std::size_t bytes, const execution_data&) {
   return wrappedAllocate(pool, bytes);
 }
 
 #define DEALLOCATE "_ZN3tbb6detail2r110deallocateERNS0_2d117small_object_poolEPvm"
-void wrappedDeallocate(small_object_pool& pool, void* object, std::size_t bytes) WRAPPED(DEALLOCATE);
+void wrappedDeallocate(small_object_pool& pool, void* object, std::size_t bytes)
+    WRAPPED(DEALLOCATE);
 void wrappedDeallocate(small_object_pool&, void* object, std::size_t) { std::free(object); }
 
 #define DEALLOCATE_IN DEALLOCATE "RKNS2_14execution_dataE"
-void wrappedDeallocateIn(small_object_pool& pool, void* object, std::size_t bytes, const execution_data& data)
-    WRAPPED(DEALLOCATE_IN);
-void wrappedDeallocateIn(small_object_pool&, void* object, std::size_t, const execution_data&) { std::free(object); }
+void wrappedDeallocateIn(small_object_pool& pool, void* object, std::size_t bytes,
+                         const execution_data& data) WRAPPED(DEALLOCATE_IN);
+void wrappedDeallocateIn(small_object_pool&, void* object, std::size_t, const execution_data&) {
+  std::free(object);
+}

@@ -199,7 +199,7 @@ class SketchPageTest : public QObject {
     process.start(LIGHTSKETCH_BINARY, arguments);
     QVERIFY(process.waitForReadyRead(kStart));
     QTRY_VERIFY_WITH_TIMEOUT(framesOf(app.path("vase")) > kept, kRecord);
-    QVERIFY(app.banner("warning/vase").isEmpty());
+    QTRY_VERIFY_WITH_TIMEOUT(app.banner("warning/vase").isEmpty(), kAnswer);
     QVERIFY2(app.workspace().running() == 1, "it is still the same recording");
     press(app, "stop");
     QTRY_VERIFY_WITH_TIMEOUT(idle(app), kAnswer);
