@@ -135,12 +135,12 @@ class SketchPageTest : public QObject {
     app.screenshot("sketch-stopped");
 
     // After the recording a deleted region is a job, and so is its undoing.
-    // This one is chosen by keys: a circle in the middle, made larger.
+    // This one is chosen by keys: a circle in the middle, made so large that the dot above is in it.
     const int frames = framesOf(app.path("vase"));
     auto* hemisphere = app.find<HemisphereView>("hemisphere");
     QTest::keyClick(hemisphere, Qt::Key_Right);
     QTest::keyClick(hemisphere, Qt::Key_Left);
-    for (int i = 0; i < 8; ++i) QTest::keyClick(hemisphere, Qt::Key_Plus);
+    for (int i = 0; i < 14; ++i) QTest::keyClick(hemisphere, Qt::Key_Plus);
     app.screenshot("sketch-region-by-keys");
     QCOMPARE(framesOf(app.path("vase")), frames);
     QTest::keyClick(hemisphere, Qt::Key_Delete);
