@@ -123,7 +123,7 @@ Result<void> fit(const Equation& equation, std::vector<double>& parameters,
                         new ceres::SubsetManifold(static_cast<int>(parameters.size()), held));
   }
   ceres::Solver::Options options;
-  options.max_num_iterations = 60;  // lenses that fit take 40
+  options.max_num_iterations = 60;  // lenses that fit took 36 at most
   options.function_tolerance = 1e-14;
   options.parameter_tolerance = 1e-12;
   options.gradient_tolerance = 1e-16;
@@ -235,7 +235,6 @@ Result<LoadedCamera> toOurs(const ForeignLens& lens, const std::string& where) {
     return failure(ErrorCode::kCorrupt, "{}: {}: the lens sees nothing of its picture", where,
                    lens.kind);
   }
-  FisheyeParameters parameters;
   CameraConversion conversion;
   conversion.refit = !lens.same;
   std::shared_ptr<const FisheyeModel> model;
@@ -254,22 +253,20 @@ Result<LoadedCamera> toOurs(const ForeignLens& lens, const std::string& where) {
       tried = *fitted;
     }
     auto made = FisheyeModel::create(tried);
-    if (!made) return false;
-    model = *made;
-    parameters = tried;
-    return true;
+    if (made) model = *made;
+    return made.has_value();
   };
   // A polynomial may turn back at the rim: then less of the field is kept, as much as half a degree
   // allows. Every attempt is a fit, so the loss is doubled until one succeeds, then halved.
   constexpr double kFinest = 0.5;
+  const double most = std::min(30.0, wanted.degrees() - 1);
   double lost = 0;
   double tooLittle = 0;
   while (true) {
-    if (wanted.degrees() - lost < 1) break;
     ASSIGN_OR_RETURN(const bool made, attempt(wanted - Angle::degrees(lost)));
-    if (made || lost >= 30) break;
+    if (made || lost >= most) break;
     tooLittle = lost;
-    lost = std::clamp(2 * lost, kFinest, 30.0);
+    lost = std::min(std::max(2 * lost, kFinest), most);
   }
   if (!model) {
     return failure(ErrorCode::kUnsupported, "{}: {}: no fisheye of ours comes near this lens",
@@ -283,7 +280,7 @@ Result<LoadedCamera> toOurs(const ForeignLens& lens, const std::string& where) {
   LensUncertainty uncertainty;
   uncertainty.coveredField = coveredBy(lens.validRegion, *model);
   if (!uncertainty.coveredField.empty()) {
-    ASSIGN_OR_RETURN(model, FisheyeModel::create(parameters, uncertainty));
+    ASSIGN_OR_RETURN(model, FisheyeModel::create(model->values(), uncertainty));
   }
   conversion.lostField = wanted - model->maxFieldAngle();
   if (conversion.refit) {

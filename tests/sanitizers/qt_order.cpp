@@ -1,6 +1,6 @@
 // For the thread sanitizer, which cannot look into Qt: what is posted to a thread with
 // QMetaObject::invokeMethod happens before it is called there. The linker sends calls of
-// invokeMethod here first (CMakeLists.txt).
+// invokeMethod here first (tests/ui/app/CMakeLists.txt).
 #include <dlfcn.h>
 
 #include <cstdarg>
