@@ -10,6 +10,7 @@
 #include <numbers>
 
 #include "calibration/lens/plane_pose.h"
+#include "capture/frame/median.h"
 
 namespace lightsketch {
 namespace {
@@ -178,12 +179,6 @@ const std::array<LensLaw, 4> kLaws{{
      60,
      {1.0 / 3, 2.0 / 15, 17.0 / 315, 62.0 / 2835}},  // perspective
 }};
-
-double median(std::vector<double>& values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 std::vector<std::size_t> usedViews(const SolverData& data) {
   std::vector<std::size_t> views;

@@ -2,9 +2,10 @@
 
 #include <Eigen/Eigenvalues>
 #include <Eigen/SVD>
-#include <algorithm>
 #include <cmath>
 #include <vector>
+
+#include "capture/frame/median.h"
 
 namespace lightsketch {
 
@@ -85,9 +86,7 @@ std::optional<PlanePose> planePose(std::span<const Vector3d> bearings,
     const Vector3d p = pose.cameraFromBoard * Vector3d(points[i].x(), points[i].y(), 0);
     errors.push_back(std::atan2(p.cross(bearings[i]).norm(), p.dot(bearings[i])));
   }
-  const auto middle = errors.begin() + static_cast<std::ptrdiff_t>(count / 2);
-  std::nth_element(errors.begin(), middle, errors.end());
-  pose.medianError = *middle;
+  pose.medianError = median(errors);
   if (!std::isfinite(pose.medianError)) return std::nullopt;
   return pose;
 }

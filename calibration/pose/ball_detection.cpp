@@ -11,6 +11,7 @@
 #include <random>
 #include <vector>
 
+#include "capture/frame/median.h"
 #include "capture/frame/srgb.h"
 
 namespace lightsketch {
@@ -227,9 +228,7 @@ std::optional<Outline> outlineNear(const Image<float>& encoded, const Image<floa
         off.push_back(std::abs(curve.distance(outline.curve, edge)));
       }
       std::vector<double> sorted = off;
-      const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-      std::nth_element(sorted.begin(), middle, sorted.end());
-      const double limit = std::max(0.15, 3 * 1.48 * *middle);
+      const double limit = std::max(0.15, 3 * 1.48 * median(sorted));
       std::vector<Vector2d> kept;
       for (std::size_t i = 0; i < off.size(); ++i) {
         if (off[i] <= limit) kept.push_back(outline.edges[i]);

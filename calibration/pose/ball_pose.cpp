@@ -13,6 +13,7 @@
 #include <random>
 
 #include "calibration/pose/sight.h"
+#include "capture/frame/median.h"
 
 namespace lightsketch {
 namespace {
@@ -237,10 +238,9 @@ Matrix3d robustRotation(std::span<const Vector3d> from, std::span<const Vector3d
     for (std::size_t k = 0; k < from.size(); ++k) {
       errors[k] = (rotation * from[k] - to[k]).squaredNorm();
     }
-    std::nth_element(errors.begin(),
-                     errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2), errors.end());
-    if (errors[errors.size() / 2] < bestMedian) {
-      bestMedian = errors[errors.size() / 2];
+    const double middle = median(errors);
+    if (middle < bestMedian) {
+      bestMedian = middle;
       best = rotation;
     }
   }
@@ -692,11 +692,9 @@ Result<BallPoseCalibration> poseFromMirrorBalls(const BallSetup& setup,
       sigmas = std::sqrt(misfit.squares / std::max(1, misfit.count - 3));
       if (moment.used) all.push_back(sigmas);
     }
-    std::nth_element(all.begin(), all.begin() + static_cast<std::ptrdiff_t>(all.size() / 2),
-                     all.end());
     // The median of |normal| is 0.67. Beyond three times what the pixels' covariances expect, it is
     // no longer they that were too small.
-    const double limit = options.outlierSigmas * std::clamp(all[all.size() / 2] / 0.67, 1.0, 3.0);
+    const double limit = options.outlierSigmas * std::clamp(median(all) / 0.67, 1.0, 3.0);
     bool rejected = false;
     for (auto& moment : best->placed) {
       auto& own = evidence[moment.moment];

@@ -8,6 +8,7 @@
 
 #include "calibration/lens/lens_calibration.h"
 #include "calibration/pose/sight.h"
+#include "capture/frame/median.h"
 
 namespace lightsketch {
 namespace {
@@ -403,9 +404,7 @@ Result<PoseCalibration> poseFromBoards(const RigCamera& sceneCamera,
       sigmas = std::sqrt(misfit.squares / std::max(1, misfit.count - 6));
       if (moment.used) all.push_back(sigmas);
     }
-    std::nth_element(all.begin(), all.begin() + static_cast<std::ptrdiff_t>(all.size() / 2),
-                     all.end());
-    const double limit = options.outlierSigmas * std::max(1.0, all[all.size() / 2]);
+    const double limit = options.outlierSigmas * std::max(1.0, median(all));
     Placed* worst = nullptr;
     for (auto& moment : solver.placed()) {
       if (moment.used && result.evidence[moment.evidence].residualSigmas > limit &&

@@ -9,6 +9,7 @@
 #include "calibration/pose/ball_sketch.h"
 #include "capture/frame/direction.h"
 #include "capture/frame/file.h"
+#include "capture/frame/median.h"
 
 namespace lightsketch {
 namespace {
@@ -18,12 +19,6 @@ using Eigen::Vector3d;
 // Below this a matte surface's own roughness and a nearby light decide.
 constexpr double kLeastPatchCosine = 0.2;
 constexpr float kSaturated = 0.98f;
-
-double medianOf(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 struct Relit {
   int id = 0;
@@ -211,10 +206,10 @@ Result<RelightSummary> relightSketch(
         options.lampRadiusMetres ? options.lampRadiusMetres : rig.lampRadiusMetres;
     double sigma = radius ? *radius * options.radiusError : 0;
     if (!radius && !distances.empty()) {
-      radius = medianOf(distances);
+      radius = median(distances);
       std::vector<double> off;
       for (const double distance : distances) off.push_back(std::abs(distance - *radius));
-      sigma = 1.48 * medianOf(off);  // of a normal distribution, from the median deviation
+      sigma = 1.48 * median(off);  // of a normal distribution, from the median deviation
     }
     if (!radius) {
       return failure(
@@ -241,7 +236,7 @@ Result<RelightSummary> relightSketch(
             [](const Relit& a, const Relit& b) { return a.id < b.id; });
   std::sort(summary.refused.begin(), summary.refused.end(),
             [](const auto& a, const auto& b) { return a.id < b.id; });
-  summary.referenceMetres = options.referenceMetres.value_or(medianOf(distances));
+  summary.referenceMetres = options.referenceMetres.value_or(median(distances));
 
   std::array<double, 3> medianPower{1, 1, 1};
   if (options.patch) {
@@ -270,7 +265,7 @@ Result<RelightSummary> relightSketch(
           "frames; choose a matte surface that faces the lamp",
           active - powers[0].size(), active);
     }
-    for (std::size_t c = 0; c < 3; ++c) medianPower[c] = medianOf(powers[c]);
+    for (std::size_t c = 0; c < 3; ++c) medianPower[c] = median(powers[c]);
   }
 
   Json calibration = {{"rig", rigGeometryToJson(rig)}};
@@ -294,9 +289,9 @@ Result<RelightSummary> relightSketch(
     ++summary.relit;
     progress.update("relighting", static_cast<std::size_t>(summary.relit), lights.size());
   }
-  summary.medianChange = Angle::radians(medianOf(changes));
+  summary.medianChange = Angle::radians(median(changes));
   summary.largestChange = Angle::radians(*std::max_element(changes.begin(), changes.end()));
-  summary.medianSigma = Angle::radians(medianOf(sigmas));
+  summary.medianSigma = Angle::radians(median(sigmas));
   return summary;
 }
 

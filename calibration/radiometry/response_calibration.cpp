@@ -14,6 +14,7 @@
 #include <optional>
 
 #include "calibration/radiometry/response_fit.h"
+#include "capture/frame/median.h"
 
 namespace lightsketch {
 namespace {
@@ -79,13 +80,6 @@ int stepFor(const Camera& camera, double pixels) {
   const double all = static_cast<double>(camera.width) * camera.height;
   const int step = static_cast<int>(std::max(1.0, std::sqrt(all / pixels)));
   return step % 2 == 0 ? step - 1 : step;
-}
-
-double median(std::vector<double>& values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 // --- Reading the input ---------------------------------------------------------------------------

@@ -8,6 +8,8 @@
 #include <optional>
 #include <utility>
 
+#include "capture/frame/median.h"
+
 namespace lightsketch {
 namespace {
 
@@ -277,9 +279,7 @@ class Solver {
           list.insert(list.end(), errors[c][near].begin(), errors[c][near].end());
         }
         if (list.size() < 40) continue;
-        const auto middle = list.begin() + static_cast<std::ptrdiff_t>(list.size() / 2);
-        std::nth_element(list.begin(), middle, list.end());
-        sigma[b] = std::max(1.4826 * *middle, rounding);
+        sigma[b] = std::max(1.4826 * median(list), rounding);
       }
       // Empty bins take their neighbour's, from below first.
       if (std::ranges::all_of(sigma, [](double s) { return s == 0; })) continue;

@@ -4,6 +4,8 @@
 #include <utility>
 #include <vector>
 
+#include "capture/frame/median.h"
+
 namespace lightsketch {
 namespace {
 
@@ -28,10 +30,8 @@ void keep(std::deque<Duration>& values, Duration value) {
   if (values.size() > kFrames) values.pop_front();
 }
 Duration medianOf(const std::deque<Duration>& values) {
-  std::vector<Duration> sorted(values.begin(), values.end());
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  return *middle;
+  std::vector<Duration> copy(values.begin(), values.end());
+  return median(copy);
 }
 Duration leastOf(const std::deque<Duration>& values) { return *std::ranges::min_element(values); }
 

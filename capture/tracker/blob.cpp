@@ -7,6 +7,8 @@
 #include <cstdlib>
 #include <numeric>
 
+#include "capture/frame/median.h"
+
 namespace lightsketch {
 namespace {
 
@@ -83,9 +85,7 @@ int surroundings(const Image<std::uint16_t>& counts, const Image<std::uint16_t>&
     add(w.x, y);
     add(w.x + w.width - 1, y);
   }
-  const auto middle = border.begin() + static_cast<std::ptrdiff_t>(border.size() / 2);
-  std::nth_element(border.begin(), middle, border.end());
-  return std::clamp(*middle, -kFullScale / 2, kFullScale / 2);
+  return std::clamp(median(border), -kFullScale / 2, kFullScale / 2);
 }
 
 // Mean excess from 2.5 to 6 pixels outside the ellipse that the core fills.

@@ -804,7 +804,8 @@ Result<void> readFactors(Reader& reader, const Head& head, std::array<FactorValu
   if (!known || head.places.has_value() == (model.storage == Storage::kPacked))
     return failure(ErrorCode::kUnsupported, "{}: storage '{}' is unknown", where, storage);
   ASSIGN_OR_RETURN(const auto ranks, reader.list<int>("block_rank", H5T_NATIVE_INT));
-  model.blockOffset.assign(1, 0);
+  model.blockOffset.reserve(ranks.size() + 1);
+  model.blockOffset.push_back(0);
   for (const int rank : ranks) {
     if (rank < 0 || rank > model.layout.pixelsPerBlock())
       return failure(ErrorCode::kCorrupt, "{}: a block claims {} basis pictures", where, rank);

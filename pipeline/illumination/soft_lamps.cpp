@@ -4,6 +4,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "capture/frame/median.h"
+
 namespace lightsketch {
 namespace {
 
@@ -23,9 +25,7 @@ Result<SoftLamps> SoftLamps::create(std::span<const Eigen::Vector3d> lights,
   lamps.areas_ = std::move(areas);
   for (const double area : lamps.areas_) lamps.sides_.push_back(std::sqrt(area));
   auto sorted = lamps.sides_;
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  lamps.spacing_ = *middle;
+  lamps.spacing_ = median(sorted);
   return lamps;
 }
 

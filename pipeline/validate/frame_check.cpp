@@ -12,6 +12,7 @@
 #include <span>
 
 #include "capture/frame/direction.h"
+#include "capture/frame/median.h"
 #include "capture/frame/srgb.h"
 #include "pipeline/illumination/direction_interpolation.h"
 
@@ -45,13 +46,6 @@ constexpr double kLeastGainSpread = 0.0125;
 constexpr double kLeastShiftSpread = 0.003;
 constexpr double kFarthestShift = 0.35;  // radians; a fit that goes farther has lost its way
 
-template <class T>
-T median(std::vector<T>& values) {
-  if (values.empty()) return T(0);
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 template <class T>
 T robustSigma(std::vector<T>& absolute) {  // from absolute deviations of a Gaussian
   return T(1.4826) * median(absolute);

@@ -11,6 +11,7 @@
 #include <cmath>
 #include <vector>
 
+#include "capture/frame/median.h"
 #include "pipeline/sketch/image_file.h"
 #include "pipeline/validate/validate.h"
 
@@ -34,9 +35,7 @@ QImage previewOf(const RadianceImage& map) {
       levels.push_back(small(x, y, 1));
     }
   }
-  const auto middle = levels.begin() + static_cast<std::ptrdiff_t>(levels.size() / 2);
-  std::nth_element(levels.begin(), middle, levels.end());
-  return screenImage(small, 0.2f / std::max(*middle, 1e-6f), Tone::kSoft);
+  return screenImage(small, 0.2f / std::max(median(levels), 1e-6f), Tone::kSoft);
 }
 
 }  // namespace

@@ -13,6 +13,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "capture/frame/median.h"
 #include "ui/app/camera_panel.h"
 #include "ui/app/controls.h"
 
@@ -40,9 +41,7 @@ std::optional<double> pairingError(const std::deque<TimePoint>& scene,
     if (std::isfinite(nearest)) errors.push_back(nearest);
   }
   if (errors.empty()) return std::nullopt;
-  const auto middle = errors.begin() + static_cast<std::ptrdiff_t>(errors.size() / 2);
-  std::nth_element(errors.begin(), middle, errors.end());
-  return *middle;
+  return median(errors);
 }
 
 }  // namespace
