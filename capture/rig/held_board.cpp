@@ -198,13 +198,13 @@ HeldBoard::Stop HeldBoard::stopAt(const Vector3d& centre, const Vector3d& front,
   return stop;
 }
 
-void HeldBoard::add(Stop stop, double seconds) {
+void HeldBoard::add(Stop stop, std::optional<double> seconds) {
   if (!stops_.empty()) {
     const double way = (stop.centre - stops_.back().centre).norm() +
                        0.12 * stop.rotation.angularDistance(stops_.back().rotation);
     stop.arriveSeconds = stops_.back().leaveSeconds + 0.3 + 0.5 * way;
   }
-  stop.leaveSeconds = stop.arriveSeconds + seconds;
+  stop.leaveSeconds = stop.arriveSeconds + seconds.value_or(board_.stillSeconds);
   stops_.push_back(stop);
 }
 

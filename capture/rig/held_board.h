@@ -23,6 +23,7 @@ struct RigBoard {
   // It is bent: z = x (1 - u^2) + y (1 - v^2), u and v from -1 to 1 over the inner corners.
   Eigen::Vector2d warpMetres{0.0012, -0.0007};
   double marginMetres = 0.005;  // of white paper around the squares
+  double stillSeconds = 0.42;   // for which it is held at each stop
 };
 
 // Whom the board is shown to.
@@ -63,8 +64,7 @@ class HeldBoard {
   Stop stopAt(const Eigen::Vector3d& centre, const Eigen::Vector3d& front,
               const Eigen::Vector3d& up, double rollDegrees, double tableHeight,
               std::optional<double> standingAt = std::nullopt) const;
-  static constexpr double kStillSeconds = 0.42;
-  void add(Stop stop, double seconds = kStillSeconds);
+  void add(Stop stop, std::optional<double> seconds = std::nullopt);
   void showTo(const BoardAudience& audience);
   void showToBoth(const BoardAudience& audience, const Eigen::Isometry3d& source);
 

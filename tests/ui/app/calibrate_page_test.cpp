@@ -220,7 +220,9 @@ class CalibratePageTest : public QObject {
   }
 
   void aBoardBeforeBothCamerasBecomesPoses() {
-    const auto rig = SimulatedRig::start(options());
+    SimulatedRigOptions slowHand = options();
+    if (LIGHTSKETCH_PATIENCE > 1) slowHand.board.stillSeconds = 1.7;  // until it is found twice
+    const auto rig = SimulatedRig::start(slowHand);
     QVERIFY2(rig.has_value(), rig ? "" : rig.error().message.c_str());
     QTemporaryDir folder;
     RigSetup setup = setupFor(options());
