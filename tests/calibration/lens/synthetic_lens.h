@@ -135,7 +135,9 @@ inline std::vector<BoardView> syntheticViews(const TrueLens& lens, const BoardGe
             pixel.y() > lens.height - 2) {
           continue;
         }
-        pixel += options.noisePixels * Eigen::Vector2d(normal(random), normal(random));
+        const double down = normal(random);  // drawn in an order that compilers do not choose
+        const double across = normal(random);
+        pixel += options.noisePixels * Eigen::Vector2d(across, down);
         view.corners.push_back({column, row, pixel});
       }
     }

@@ -66,9 +66,10 @@ TEST(DirectionInterpolator, ReproducesTheLightsThemselvesWithoutNugget) {
         DirectionInterpolator::create(lights, {.kernel = kernel, .trendDegree = 1, .nugget = 0});
     ASSERT_TRUE(interpolator);
     for (int i = 0; i < 60; ++i) {
+      // Conditioned to about 1e8, as above.
       EXPECT_LT((interpolator->weights(lights[static_cast<std::size_t>(i)]) - VectorXd::Unit(60, i))
                     .norm(),
-                1e-8);
+                1e-7);
     }
   }
 }
