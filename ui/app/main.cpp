@@ -4,7 +4,10 @@
 #include <QMouseEvent>
 #include <QTimer>
 #include <QWindow>
+#include <algorithm>
+#include <cmath>
 #include <cstdio>
+#include <string_view>
 
 #include "ui/app/application.h"
 #include "ui/app/main_window.h"
@@ -34,12 +37,25 @@ void dragOver(RelightView& view) {
   hand->start(8);
 }
 
+// One line, and the exit code of bad input.
+int refuse(const QString& why) {
+  std::fprintf(stderr, "lightsketch-app: %s\n", qPrintable(why));
+  return 1;
+}
+
+// Help and version need no display.
+bool asksForWords(int argc, char** argv) {
+  return std::any_of(argv + 1, argv + argc, [](const std::string_view argument) {
+    return argument == "-h" || argument == "--help" || argument == "--help-all" ||
+           argument == "-v" || argument == "--version";
+  });
+}
+
 }  // namespace
 }  // namespace lightsketch
 
 int main(int argc, char** argv) {
   using namespace lightsketch;
-  Application application(argc, argv);
   QCoreApplication::setApplicationName("lightsketch-app");
   QCoreApplication::setOrganizationName("lightsketch");
   QCoreApplication::setApplicationVersion(LIGHTSKETCH_VERSION);
@@ -47,8 +63,7 @@ int main(int argc, char** argv) {
   QCommandLineParser parser;
   parser.setApplicationDescription(
       "Wave a lamp around a scene, see the covered light directions fill up, and get a picture "
-      "that "
-      "can be lit by anything. Without cameras a simulated rig is used.");
+      "that can be lit by anything. Without cameras a simulated rig is used.");
   parser.addHelpOption();
   parser.addVersionOption();
   parser.addPositionalArgument("file", "a sketch, a model (.lsd), or a folder with a .lp file",
@@ -80,11 +95,29 @@ int main(int argc, char** argv) {
   const QCommandLineOption settings("settings", "Keep the settings in this file.", "FILE");
   parser.addOptions({page, begin, light, drag, seconds, picture, stats, frames, rate, addresses,
                      scene, source, model, geometry, settings});
+  if (asksForWords(argc, argv)) parser.process(QCoreApplication(argc, argv));  // ends here
+  Application application(argc, argv);
   parser.process(application);
+  for (const QCommandLineOption* number : {&seconds, &frames, &rate}) {
+    bool valid = false;
+    const double value = parser.value(*number).toDouble(&valid);
+    if (parser.isSet(*number) && !(valid && std::isfinite(value) && value >= 0)) {
+      return refuse(QString("--%1 %2: not a number of 0 or more")
+                        .arg(number->names().front(), parser.value(*number)));
+    }
+  }
+  if (parser.isSet(scene) != parser.isSet(source)) {
+    return refuse("--scene and --source go together: name both cameras or none");
+  }
+  const QStringList rigAddresses = parser.value(addresses).split(',', Qt::SkipEmptyParts);
+  if (parser.isSet(addresses) && rigAddresses.size() != 2) {
+    return refuse("--rig-addresses " + parser.value(addresses) +
+                  ": two addresses with a comma between, e.g. 127.0.0.21,127.0.0.22");
+  }
 
   Workspace workspace(parser.value(settings));
   RigSetup setup = workspace.rig().setup();
-  if (parser.isSet(scene) && parser.isSet(source)) {
+  if (parser.isSet(scene)) {
     setup.simulated = false;
     setup.sceneCamera = parser.value(scene).toStdString();
     setup.sourceCamera = parser.value(source).toStdString();
@@ -100,9 +133,9 @@ int main(int argc, char** argv) {
       setup.rig.framesPerSecond = parser.value(rate).toDouble();
       setup.scene.framesPerSecond = setup.source.framesPerSecond = setup.rig.framesPerSecond;
     }
-    if (const QStringList two = parser.value(addresses).split(','); two.size() == 2) {
-      setup.rig.sceneAddress = two[0].toStdString();
-      setup.rig.sourceAddress = two[1].toStdString();
+    if (!rigAddresses.isEmpty()) {
+      setup.rig.sceneAddress = rigAddresses[0].toStdString();
+      setup.rig.sourceAddress = rigAddresses[1].toStdString();
     }
     workspace.rig().setSetup(setup);
   }
@@ -111,6 +144,10 @@ int main(int argc, char** argv) {
     // A file has a page of its own.
     const bool file = !parser.positionalArguments().isEmpty();
     MainWindow window(workspace, parser.isSet(page) ? parser.value(page) : file ? "" : "rig");
+    if (parser.isSet(page) && !window.page(parser.value(page))) {
+      return refuse("--page " + parser.value(page) +
+                    ": no such page; one of rig, calibrate, sketch, develop, relight, validate");
+    }
     window.show();
     // The first picture of the window loads fonts and style; nobody can wait for it yet.
     for (QDeadlineTimer patience(2000); !window.windowHandle()->isExposed();) {
@@ -127,9 +164,8 @@ int main(int argc, char** argv) {
     if (parser.isSet(light) || parser.isSet(drag)) {
       auto& relight = static_cast<RelightPage&>(*window.page("relight"));
       if (!parser.value(light).isEmpty() && !relight.setLight(parser.value(light))) {
-        std::fprintf(stderr, "lightsketch-app: --light %s: no such light\n",
-                     qPrintable(parser.value(light)));
-        return 2;
+        return refuse("--light " + parser.value(light) +
+                      ": no such light; one of lamp, three-lamps, surroundings, room, path");
       }
       if (parser.isSet(drag)) dragOver(relight.view());
     }

@@ -1,5 +1,8 @@
 #include <QMenuBar>
+#include <QProcess>
+#include <QProcessEnvironment>
 #include <QSignalSpy>
+#include <QTemporaryDir>
 #include <QTest>
 #include <fstream>
 #include <thread>
@@ -75,6 +78,43 @@ class MainWindowTest : public QObject {
     // +y is up on the screen, and the rim is the horizon.
     QVERIFY(view.project({0, 1, 0}).y() < view.project({0, 0, 1}).y());
     QVERIFY(!view.unproject({1, 1}).has_value());
+  }
+  void theProgramRefusesWhatItCannotDo_data() {
+    QTest::addColumn<QStringList>("arguments");
+    QTest::addColumn<QString>("says");
+    QTest::newRow("page") << QStringList{"--page", "attic"} << "--page attic: no such page";
+    QTest::newRow("light") << QStringList{"--light", "candle"} << "--light candle: no such light";
+    QTest::newRow("word") << QStringList{"--for", "ever"} << "--for ever: not a number";
+    QTest::newRow("negative") << QStringList{"--rig-rate", "-3"} << "--rig-rate -3: not a number";
+    QTest::newRow("infinite") << QStringList{"--for", "inf"} << "--for inf: not a number";
+    QTest::newRow("one camera") << QStringList{"--scene", "aravis:10.0.0.2"} << "go together";
+    QTest::newRow("one address") << QStringList{"--rig-addresses", "127.0.0.21"} << "two addresses";
+    QTest::newRow("option") << QStringList{"--brighter"} << "Unknown option 'brighter'";
+  }
+
+  void theProgramRefusesWhatItCannotDo() {
+    QFETCH(QStringList, arguments);
+    QFETCH(QString, says);
+    const QTemporaryDir folder;
+    QProcess program;
+    program.start(LIGHTSKETCH_BINARY "-app",
+                  arguments + QStringList{"--settings", folder.filePath("settings.ini")});
+    QVERIFY(program.waitForFinished(patience(30'000)));
+    QCOMPARE(program.exitCode(), 1);
+    const QString error = program.readAllStandardError();
+    QVERIFY2(error.contains(says), qPrintable(error));
+    QVERIFY2(program.readAllStandardOutput().isEmpty(), "a complaint goes to standard error");
+  }
+
+  void helpNeedsNoDisplay() {
+    QProcess program;
+    auto environment = QProcessEnvironment::systemEnvironment();
+    environment.remove("DISPLAY");
+    program.setProcessEnvironment(environment);
+    program.start(LIGHTSKETCH_BINARY "-app", {"--help"});
+    QVERIFY(program.waitForFinished(patience(30'000)));
+    QCOMPARE(program.exitCode(), 0);
+    QVERIFY(program.readAllStandardOutput().contains("[SKETCH|MODEL|FOLDER]"));
   }
 };
 
