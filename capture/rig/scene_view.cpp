@@ -1,8 +1,6 @@
 #include "capture/rig/scene_view.h"
 
 #include <embree3/rtcore.h>
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
 
 #include <Eigen/Geometry>
 #include <algorithm>
@@ -12,6 +10,7 @@
 
 #include "capture/frame/vectorise.h"
 #include "capture/rig/noise.h"
+#include "capture/rig/parallel.h"
 
 namespace lightsketch {
 namespace {
@@ -561,7 +560,8 @@ void SceneView::Tableau::smoothSurroundings(const std::vector<Point*>& points) {
   std::vector<const Point*> at(static_cast<std::size_t>(kWidth) * kHeight, nullptr);
   for (const Point* p : points) at[static_cast<std::size_t>(p->pixel)] = p;
   std::vector<Surroundings> smoothed(points.size());
-  tbb::parallel_for(std::size_t{0}, points.size(), [&](std::size_t i) {
+  inParallel(static_cast<int>(points.size()), [&](int place) {
+    const auto i = static_cast<std::size_t>(place);
     const Point& p = *points[i];
     const int x = p.pixel % kWidth, y = p.pixel / kWidth;
     constexpr int kReach = 4;
@@ -615,17 +615,14 @@ void SceneView::Tableau::prepare() {
     std::vector<Point> points, mirrored;
   };
   std::vector<Tile> grid(kTileColumns * kTileRows);
-  tbb::parallel_for(
-      tbb::blocked_range<int>(0, kTileRows), [&](const tbb::blocked_range<int>& range) {
-        for (int place = range.begin() * kTileColumns; place < range.end() * kTileColumns;
-             ++place) {
-          Tile& tile = grid[static_cast<std::size_t>(place)];
-          for (int i = 0; i < kLanes; ++i) {
-            addPixel(place % kTileColumns * kTile + i % kTile,
-                     place / kTileColumns * kTile + i / kTile, tile.points, tile.mirrored);
-          }
-        }
-      });
+  inParallel(kTileRows, [&](int row) {
+    for (int column = 0; column < kTileColumns; ++column) {
+      Tile& tile = grid[static_cast<std::size_t>(row * kTileColumns + column)];
+      for (int i = 0; i < kLanes; ++i) {
+        addPixel(column * kTile + i % kTile, row * kTile + i / kTile, tile.points, tile.mirrored);
+      }
+    }
+  });
 
   std::vector<Point*> points;
   for (Tile& tile : grid) {

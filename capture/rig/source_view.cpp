@@ -1,8 +1,5 @@
 #include "capture/rig/source_view.h"
 
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
-
 #include <Eigen/LU>
 #include <algorithm>
 #include <array>
@@ -12,6 +9,7 @@
 
 #include "capture/frame/vectorise.h"
 #include "capture/rig/noise.h"
+#include "capture/rig/parallel.h"
 
 namespace lightsketch {
 namespace {
@@ -212,14 +210,14 @@ const std::shared_ptr<const StillLife>& SourceView::State::thingsIn(RigProgram p
 // (0.02 px).
 void SourceView::State::aim() {
   directions.resize(static_cast<std::size_t>(kNodes) * kNodes);
-  tbb::parallel_for(0, kNodes, [&](int row) {
+  inParallel(kNodes, [&](int row) {
     for (int column = 0; column < kNodes; ++column) {
       directions[static_cast<std::size_t>(row * kNodes + column)] =
           sceneFromCamera.linear() * lens.unprojectUnbounded(Vector2d(column * kCell, row * kCell));
     }
   });
   illumination.assign(Tableau::kPixels, 0);
-  tbb::parallel_for(0, kSize, [&](int y) {
+  inParallel(kSize, [&](int y) {
     for (int x = 0; x < kSize; ++x) {
       for (int i = 0; i < 4; ++i) {
         const double theta =
@@ -260,7 +258,7 @@ void SourceView::State::show(RigProgram program) {
 void SourceView::State::prepare() {
   const Vector3f eye = sceneFromCamera.translation().cast<float>();
   const Vector3d axis = sceneFromCamera.linear().col(2);
-  tbb::parallel_for(0, kNodes * kNodes, [&](int place) {
+  inParallel(kNodes * kNodes, [&](int place) {
     const auto i = static_cast<std::size_t>(place);
     const Vector3f direction = directions[i].cast<float>();
     Node& node = now->nodes[i];
@@ -273,7 +271,7 @@ void SourceView::State::prepare() {
       node.normal = wall.normal;
     }
   });
-  tbb::parallel_for(0, kSize, [&](int y) {
+  inParallel(kSize, [&](int y) {
     for (int x = 0; x < kSize; ++x) shadePixel(x, y);
   });
   for (const auto& spot : room.spots()) {
@@ -516,7 +514,7 @@ void SourceView::State::showBoard(double programSeconds, double exposureSeconds)
     rays.eye = sceneFromCamera.translation();
     rays.directions.resize(static_cast<std::size_t>(kSize + 1) * (kSize + 1));
     const Eigen::Matrix3d cameraFromScene = sceneFromCamera.linear().transpose();
-    tbb::parallel_for(0, kSize + 1, [&](int y) {
+    inParallel(kSize + 1, [&](int y) {
       const int row = std::min(y / kCell, kNodes - 2);
       for (int x = 0; x <= kSize; ++x) {
         const int column = std::min(x / kCell, kNodes - 2);
