@@ -98,13 +98,22 @@ int main(int argc, char** argv) {
   if (asksForWords(argc, argv)) parser.process(QCoreApplication(argc, argv));  // ends here
   Application application(argc, argv);
   parser.process(application);
-  for (const QCommandLineOption* number : {&seconds, &frames, &rate}) {
+  bool whole = false;
+  parser.value(frames).toUInt(&whole);
+  if (!whole) {
+    return refuse("--rig-frames " + parser.value(frames) + ": not a count of frames, e.g. 150");
+  }
+  const auto number = [&parser](const QCommandLineOption& option) {
     bool valid = false;
-    const double value = parser.value(*number).toDouble(&valid);
-    if (parser.isSet(*number) && !(valid && std::isfinite(value) && value >= 0)) {
-      return refuse(QString("--%1 %2: not a number of 0 or more")
-                        .arg(number->names().front(), parser.value(*number)));
-    }
+    const double value = parser.value(option).toDouble(&valid);
+    return valid && std::isfinite(value) ? value : -1;
+  };
+  if (parser.isSet(rate) && number(rate) <= 0) {
+    return refuse("--rig-rate " + parser.value(rate) +
+                  ": not a number of frames a second, e.g. 30");
+  }
+  if (parser.isSet(seconds) && number(seconds) < 0) {
+    return refuse("--for " + parser.value(seconds) + ": not a number of seconds, e.g. 12");
   }
   if (parser.isSet(scene) != parser.isSet(source)) {
     return refuse("--scene and --source go together: name both cameras or none");

@@ -79,12 +79,15 @@ class MainWindowTest : public QObject {
     QVERIFY(view.project({0, 1, 0}).y() < view.project({0, 0, 1}).y());
     QVERIFY(!view.unproject({1, 1}).has_value());
   }
+
   void theProgramRefusesWhatItCannotDo_data() {
     QTest::addColumn<QStringList>("arguments");
     QTest::addColumn<QString>("says");
     QTest::newRow("page") << QStringList{"--page", "attic"} << "--page attic: no such page";
     QTest::newRow("light") << QStringList{"--light", "candle"} << "--light candle: no such light";
     QTest::newRow("word") << QStringList{"--for", "ever"} << "--for ever: not a number";
+    QTest::newRow("half") << QStringList{"--rig-frames", "1.5"} << "--rig-frames 1.5: not a count";
+    QTest::newRow("zero") << QStringList{"--rig-rate", "0"} << "--rig-rate 0: not a number";
     QTest::newRow("negative") << QStringList{"--rig-rate", "-3"} << "--rig-rate -3: not a number";
     QTest::newRow("infinite") << QStringList{"--for", "inf"} << "--for inf: not a number";
     QTest::newRow("one camera") << QStringList{"--scene", "aravis:10.0.0.2"} << "go together";
