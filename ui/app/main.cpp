@@ -99,8 +99,8 @@ int main(int argc, char** argv) {
   Application application(argc, argv);
   parser.process(application);
   bool whole = false;
-  parser.value(frames).toUInt(&whole);
-  if (!whole) {
+  const int rigFrames = parser.value(frames).toInt(&whole);
+  if (!whole || rigFrames < 0) {
     return refuse("--rig-frames " + parser.value(frames) + ": not a count of frames, e.g. 150");
   }
   const auto number = [&parser](const QCommandLineOption& option) {
@@ -108,11 +108,13 @@ int main(int argc, char** argv) {
     const double value = parser.value(option).toDouble(&valid);
     return valid && std::isfinite(value) ? value : -1;
   };
-  if (parser.isSet(rate) && number(rate) <= 0) {
+  const double framesPerSecond = number(rate);
+  if (parser.isSet(rate) && framesPerSecond <= 0) {
     return refuse("--rig-rate " + parser.value(rate) +
                   ": not a number of frames a second, e.g. 30");
   }
-  if (parser.isSet(seconds) && number(seconds) < 0) {
+  const double runSeconds = number(seconds);
+  if (parser.isSet(seconds) && runSeconds < 0) {
     return refuse("--for " + parser.value(seconds) + ": not a number of seconds, e.g. 12");
   }
   if (parser.isSet(scene) != parser.isSet(source)) {
@@ -133,13 +135,13 @@ int main(int argc, char** argv) {
     setup.sourceModel = toPath(parser.value(model));
     setup.rigGeometry = toPath(parser.value(geometry));
     if (parser.isSet(rate)) {
-      setup.scene.framesPerSecond = setup.source.framesPerSecond = parser.value(rate).toDouble();
+      setup.scene.framesPerSecond = setup.source.framesPerSecond = framesPerSecond;
     }
     workspace.rig().setSetup(setup);
   } else if (setup.simulated) {
-    setup.rig.prerenderedFrames = parser.value(frames).toInt();
+    setup.rig.prerenderedFrames = rigFrames;
     if (parser.isSet(rate)) {
-      setup.rig.framesPerSecond = parser.value(rate).toDouble();
+      setup.rig.framesPerSecond = framesPerSecond;
       setup.scene.framesPerSecond = setup.source.framesPerSecond = setup.rig.framesPerSecond;
     }
     if (!rigAddresses.isEmpty()) {
@@ -182,7 +184,7 @@ int main(int argc, char** argv) {
       QTimer::singleShot(0, &window, [&] { window.currentPage()->begin(); });
     }
     if (parser.isSet(seconds)) {
-      QTimer::singleShot(static_cast<int>(1000 * parser.value(seconds).toDouble()), &window, [&] {
+      QTimer::singleShot(static_cast<int>(1000 * runSeconds), &window, [&] {
         application.unwatch();  // closing waits for what runs
         if (parser.isSet(picture)) window.grab().save(parser.value(picture));
         window.close();

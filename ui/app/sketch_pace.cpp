@@ -10,6 +10,7 @@ namespace {
 
 constexpr double kTroubleSeconds = 1;
 constexpr double kRateSeconds = 30;
+constexpr double kBusySeconds = 5;
 
 }  // namespace
 
@@ -18,7 +19,10 @@ void SketchPace::add(const JudgedFrame& judged) {
   if (!first_) first_ = now;
   judged_.emplace_back(now, judged.refusal);
   while (toSeconds(now - judged_.front().first) > kTroubleSeconds) judged_.pop_front();
-  if (judged.refusal == Refusal::kNone) kept_.push_back(now);
+  if (judged.refusal == Refusal::kNone) {
+    kept_.push_back(now);
+    mostKept_ = std::max(mostKept_, keptSince(now, kBusySeconds));
+  }
   while (!kept_.empty() && toSeconds(now - kept_.front()) > kRateSeconds) kept_.pop_front();
 }
 
@@ -49,9 +53,16 @@ bool SketchPace::keptWithin(TimePoint now, double seconds) const {
 double SketchPace::keptPerMinute(TimePoint now) const {
   if (!first_) return 0;
   const double seconds = std::clamp(toSeconds(now - *first_), 1.0, kRateSeconds);
-  const auto recent = std::count_if(
-      kept_.begin(), kept_.end(), [&](TimePoint t) { return toSeconds(now - t) <= kRateSeconds; });
-  return 60 * static_cast<double>(recent) / seconds;
+  return 60 * static_cast<double>(keptSince(now, kRateSeconds)) / seconds;
+}
+
+double SketchPace::mostKeptPerSecond() const {
+  return static_cast<double>(mostKept_) / kBusySeconds;
+}
+
+std::ptrdiff_t SketchPace::keptSince(TimePoint now, double seconds) const {
+  return std::count_if(kept_.begin(), kept_.end(),
+                       [&](TimePoint t) { return toSeconds(now - t) <= seconds; });
 }
 
 }  // namespace lightsketch

@@ -1,6 +1,7 @@
 // How a recording goes, from what became of its frames.
 #pragma once
 
+#include <cstddef>
 #include <deque>
 #include <optional>
 #include <utility>
@@ -19,10 +20,15 @@ class SketchPace {
   bool keptWithin(TimePoint now, double seconds) const;
   // Over the last half minute; 0 before the first.
   double keptPerMinute(TimePoint now) const;
+  // In the busiest five seconds so far.
+  double mostKeptPerSecond() const;
 
  private:
+  std::ptrdiff_t keptSince(TimePoint now, double seconds) const;
+
   std::deque<std::pair<TimePoint, Refusal>> judged_;  // of the last second
   std::deque<TimePoint> kept_;                        // of the last half minute
+  std::ptrdiff_t mostKept_ = 0;
   std::optional<TimePoint> first_;
 };
 

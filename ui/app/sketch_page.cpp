@@ -33,7 +33,6 @@ constexpr std::size_t kPathSteps = 120;    // on the hemisphere
 constexpr double kRefusedToneSeconds = 1;  // between two
 constexpr double kLampLostSeconds = 0.7;   // until it is said
 constexpr double kReconnectSeconds = 1800;
-constexpr double kBusySeconds = 5;  // over which kept frames are counted for the statistics
 
 enum Side { kOptionsSide, kTallySide, kLessonsSide };
 
@@ -362,8 +361,6 @@ void SketchPage::record() {
   for (const auto& [id, light] : plan_.frames) kept_.push_back({light});
   waitingDots_.clear();
   measuredFrom_.reset();
-  keptLately_.clear();
-  keptMost_ = 0;
   workspace().undo().clear();
 
   rig.lend();
@@ -433,9 +430,6 @@ void SketchPage::follow(const JudgedFrame& judged) {
   now_.pace.add(judged);
   const bool kept = judged.refusal == Refusal::kNone;
   if (kept) {
-    keptLately_.push_back(judged.decided);
-    while (toSeconds(judged.decided - keptLately_.front()) > kBusySeconds) keptLately_.pop_front();
-    keptMost_ = std::max(keptMost_, keptLately_.size());
     sounds_.play(Sounds::Tone::kCaptured);
     const std::size_t index = kept_.size();
     kept_.push_back({judged.direction.value_or(Vector3d::UnitZ())});
@@ -667,7 +661,7 @@ void SketchPage::measure() {
   statistics.set("frames dropped by the program", static_cast<double>(dropped));
   statistics.set("scene view, frames a second", sceneDrawn_ / seconds);
   statistics.set("source view, frames a second", sourceDrawn_ / seconds);
-  statistics.set("kept a second (busiest 5 s)", static_cast<double>(keptMost_) / kBusySeconds);
+  statistics.set("kept a second (busiest 5 s)", now_.pace.mostKeptPerSecond());
 }
 
 }  // namespace lightsketch

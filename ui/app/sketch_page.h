@@ -113,8 +113,6 @@ class SketchPage final : public Page {
   std::optional<TimePoint> measuredFrom_;
   int sceneDrawn_ = 0;
   int sourceDrawn_ = 0;
-  std::deque<TimePoint> keptLately_;  // decided within kBusySeconds
-  std::size_t keptMost_ = 0;
 };
 
 }  // namespace lightsketch
